@@ -75,23 +75,13 @@ def _has(node: ast.expr, names: AbstractSet[str]) -> bool:
     return any(isinstance(part, ast.Name) and part.id in names for part in ast.walk(node))
 
 
-class _Dimension(NamedTuple):
-    """Powers of metres, radians and seconds."""
-
-    m: int = 0
-    rad: int = 0
-    s: int = 0
-
-    def times(self, other: _Dimension, power: int = 1) -> _Dimension:
-        return _Dimension(*(mine + power * its for mine, its in zip(self, other, strict=True)))
-
-
-_PURE = _Dimension()
-_SPEED, _TURN = _Dimension(m=1, s=-1), _Dimension(rad=1, s=-1)
+_UNITS = ("rad", "m", "s")
+_PURE = (0, 0, 0)
+"""Powers of `_UNITS`: a number without unit."""
+_SPEED, _TURN = (0, 1, -1), (1, 0, -1)
 _OF = {
-    "v": _SPEED, "vy": _SPEED, "omega": _TURN, "a": _Dimension(m=1, s=-2), "alpha": _Dimension(rad=1, s=-2),
-    "t": _Dimension(s=1), "x": _Dimension(m=1), "y": _Dimension(m=1), "distance": _Dimension(m=1),
-    "theta": _Dimension(rad=1),
+    "v": _SPEED, "vy": _SPEED, "omega": _TURN, "a": (0, 1, -2), "alpha": (1, 0, -2), "t": (0, 0, 1), "x": (0, 1, 0),
+    "y": (0, 1, 0), "distance": (0, 1, 0), "theta": (1, 0, 0),
 }  # fmt: skip
 _UNIT_PRESERVING = ("abs", "min", "max", "hypot")
 """Functions with a value in the unit of their arguments; the value of any other has no unit."""
@@ -107,76 +97,52 @@ def amplitude_unit(statements: Sequence[ast.AugAssign], name: str) -> str:
         if _has(node.value, {name}):
             target = _TURN if isinstance(node.target, ast.Name) and node.target.id == "yaw" else _SPEED
             try:
-                return _written(target.times(_factor_of(node.value, name), -1))
+                powers = _times(target, _dimension(node.value, name), -1)
             except _Unclear:
                 return ""
+            above, below = (
+                [_power(u, sign * n) for u, n in zip(_UNITS, powers, strict=True) if sign * n > 0] for sign in (1, -1)
+            )
+            return " ".join(above or ["1"] * bool(below)) + "".join(f"/{unit}" for unit in below)
     return ""
-
-
-def _factor_of(node: ast.expr, name: str) -> _Dimension:
-    """Return the dimension of the parameter's factor."""
-    match node:
-        case ast.Name(id=own) if own == name:
-            return _PURE
-        case ast.UnaryOp(operand=inner):
-            return _factor_of(inner, name)
-        case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
-            return _factor_of(left if _has(left, {name}) else right, name)
-        case ast.BinOp(left=left, op=ast.Mult(), right=right):
-            with_it, other = (left, right) if _has(left, {name}) else (right, left)
-            return _factor_of(with_it, name).times(_dimension(other))
-        case ast.BinOp(left=left, op=ast.Div(), right=right) if not _has(right, {name}):
-            return _factor_of(left, name).times(_dimension(right), -1)
-        case ast.Call(func=ast.Name(id="where"), args=[_, yes, no]):
-            return _factor_of(yes if _has(yes, {name}) else no, name)
-    raise _Unclear
-
-
-def _dimension(node: ast.expr) -> _Dimension:  # noqa: PLR0911 - one for each kind of term
-    match node:
-        case ast.Name(id=own):
-            return _OF.get(own, _PURE)
-        case ast.UnaryOp(operand=inner):
-            return _dimension(inner)
-        case ast.BinOp(left=left, op=ast.Mult(), right=right):
-            return _dimension(left).times(_dimension(right))
-        case ast.BinOp(left=left, op=ast.Div(), right=right):
-            return _dimension(left).times(_dimension(right), -1)
-        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int() as power)):
-            return _PURE.times(_dimension(left), power)
-        case ast.BinOp(left=left, op=ast.Pow()) if _dimension(left) != _PURE:
-            raise _Unclear
-        case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
-            return _first(left, right)
-        case ast.Call(func=ast.Name(id=function), args=args):
-            return _called(function, args)
-    return _PURE
-
-
-def _called(function: str, args: Sequence[ast.expr]) -> _Dimension:
-    if function == "where":
-        return _first(*args[1:])
-    if function == "sqrt" and _dimension(args[0]) != _PURE:
-        raise _Unclear
-    return _first(*args) if function in _UNIT_PRESERVING else _PURE
-
-
-def _first(*nodes: ast.expr) -> _Dimension:
-    """Return the common dimension of several nodes: plain numbers take that of the others."""
-    return next((d for d in map(_dimension, nodes) if d != _PURE), _PURE)
-
-
-def _written(dimension: _Dimension) -> str:
-    powers = dimension._asdict()
-    above = [_power(unit, powers[unit]) for unit in ("rad", "m", "s") if powers[unit] > 0]
-    below = [_power(unit, -powers[unit]) for unit in ("rad", "m", "s") if powers[unit] < 0]
-    if not above and not below:
-        return ""
-    return " ".join(above or ["1"]) + "".join(f"/{unit}" for unit in below)
 
 
 def _power(unit: str, power: int) -> str:
     return unit if power == 1 else f"{unit}^{power}"
+
+
+def _times(one: tuple[int, ...], other: tuple[int, ...], power: int = 1) -> tuple[int, ...]:
+    return tuple(a + power * b for a, b in zip(one, other, strict=True))
+
+
+def _dimension(node: ast.expr, name: str) -> tuple[int, ...]:  # noqa: PLR0911 - one for each kind of term
+    """Return the powers of `_UNITS` of a term; where it contains a parameter, those of the parameter's factor."""
+    match node:
+        case ast.Name(id=own):
+            return _OF.get(own, _PURE)
+        case ast.UnaryOp(operand=inner):
+            return _dimension(inner, name)
+        case ast.BinOp(left=left, op=ast.Mult() | ast.Div() as op, right=right):
+            return _times(_dimension(left, name), _dimension(right, name), 1 if isinstance(op, ast.Mult) else -1)
+        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int() as power)):
+            return _times(_PURE, _dimension(left, name), power)
+        case ast.BinOp(left=left, op=ast.Pow()) if _dimension(left, name) != _PURE:
+            raise _Unclear
+        case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
+            return _common(name, left, right)
+        case ast.Call(func=ast.Name(id="where"), args=[_, *either]):
+            return _common(name, *either)
+        case ast.Call(func=ast.Name(id="sqrt"), args=[inner]) if _dimension(inner, name) != _PURE:
+            raise _Unclear
+        case ast.Call(func=ast.Name(id=function), args=args) if function in _UNIT_PRESERVING:
+            return _common(name, *args)
+    return _PURE
+
+
+def _common(name: str, *nodes: ast.expr) -> tuple[int, ...]:
+    """Return the dimension of the node with the parameter, or the common one: plain numbers take that of the others."""
+    own = [node for node in nodes if _has(node, {name})][:1] or nodes
+    return next((found for node in own if (found := _dimension(node, name)) != _PURE), _PURE)
 
 
 CHANNELS = ("along", "across", "yaw")
@@ -497,9 +463,8 @@ def user_effect(
     for word in values:
         if word in _TAKEN:
             raise EffectError(f"effect {name}: the parameter {word!r} has the name of something else; call it k")
-    units = units or {}
+    units, words = units or {}, words or {}
     expression = parse_expression(text, tuple(values))
-    linear, words = expression.linear, words or {}
     if words and not expression.by_wheel:
         raise EffectError(
             f"effect {name}: {next(iter(words))} applies to statements that add to {', '.join(SIDES)} only; leave it "
@@ -509,8 +474,7 @@ def user_effect(
         (
             key,
             units.get(key) or expression.units.get(key, ""),
-            key in linear,
-            0.0 if key in linear else float(value),
+            0.0 if key in expression.linear else float(value),
             _magnitude(value),
         )
         for key, value in values.items()
@@ -525,25 +489,14 @@ def _magnitude(value: float) -> float:
 
 
 @cache
-def _class_of(name: str, text: str, facts: tuple[tuple[str, str, bool, float, float], ...]) -> type[UserEffect]:
+def _class_of(name: str, text: str, facts: tuple[tuple[str, str, float, float], ...]) -> type[UserEffect]:
     """Return the class of an expression; cached: the same facts give the same class, and equal effects are equal."""
     expression = parse_expression(text, tuple(key for key, *_ in facts))
-    fields: list[tuple[str, type, Any]] = [
-        (
-            key,
-            float,
-            parameter(
-                unit,
-                "of the expression",
-                low=-LARGEST,
-                high=LARGEST,
-                typical=typical,
-                identity=identity,
-                amplitude=amplitude,
-            ),
-        )
-        for key, unit, amplitude, identity, typical in facts
-    ]
+    fields: list[tuple[str, type, Any]] = []
+    for key, unit, identity, typical in facts:
+        size = {"low": -LARGEST, "high": LARGEST, "typical": typical, "identity": identity}
+        field = parameter(unit, "of the expression", **size, amplitude=key in expression.linear)
+        fields.append((key, float, field))
     if expression.by_wheel:
         fields.append(("heading", str, heading_choice()))
     namespace = {

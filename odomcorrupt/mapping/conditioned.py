@@ -38,7 +38,7 @@ from odomcorrupt.corruption.path import (
     noise_variances,
 )
 from odomcorrupt.errors import MapError, ModelError, TopicError
-from odomcorrupt.geometry.se2 import Increments, compose, increments, inverse
+from odomcorrupt.geometry.se2 import Increments, compose, increments, inverse, rotated
 from odomcorrupt.mapping.frames import FrameTree
 from odomcorrupt.mapping.messages import GRID, read_grid
 from odomcorrupt.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Check, Constraint, Grid, free_space, read_map
@@ -56,8 +56,8 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
 
 
-FIRST_TRIES = 12
-"""Number of tries of the first round, usually sufficient; a stuck robot needs all rounds."""
+_FIRST_TRIES = 12
+"""Number of tries that are drawn first and usually suffice; a stuck robot needs all."""
 
 
 class NoFreePoseError(MapError):
@@ -66,12 +66,6 @@ class NoFreePoseError(MapError):
     def __init__(self, why: str) -> None:
         way_out = "check --map-pose, --robot-radius and --unknown, or leave out --map"
         super().__init__(f"the map and the drive do not match: {why}; {way_out}")
-
-
-def rounds(tries: int) -> tuple[int, ...]:
-    """Return the numbers of simultaneous tries, round by round, after a first draw that was not free."""
-    left = tries - 1
-    return tuple(count for count in (min(FIRST_TRIES, left), left - FIRST_TRIES) if count > 0)
 
 
 def without_effects(model: MotionModel) -> MotionModel:
@@ -114,56 +108,21 @@ class Motions:
         return np.logical_not(moves)
 
 
-class MotionReader:
-    """Converts odometry into motions, batch by batch; the division into batches has no influence."""
+def walked(pose: Array, steps: Array, noise: Array, swing: float) -> Array:
+    """Return the poses (k, n, 3) of n robots after each of k increments.
 
-    def __init__(self, model: MotionModel) -> None:
-        self._noise = model.noise
-        self.restart()
-
-    def restart(self) -> None:
-        """Begin a new path."""
-        self._growth = StepGrowth()
-        self._last: tuple[int, Array] | None = None
-
-    @property
-    def begun(self) -> bool:
-        """Whether a first pose was read."""
-        return self._last is not None
-
-    def read(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Motions:
-        """Return the motions that end at the next n poses (n, 3), n > 0; a first pose ends an empty motion."""
-        before_ns, before_xyt = (int(stamps_ns[0]), clean_xyt[0]) if self._last is None else self._last
-        poses: Array = np.concatenate((before_xyt[None], clean_xyt))
-        dt_s = np.diff(stamps_ns, prepend=before_ns) * np.float64(1e-9)
-        travel = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-        jump = travel > JUMP_SPEED * np.maximum(dt_s, JUMP_MIN_S)
-        whole = increments(poses)
-        steps = Increments.of_rows(np.where(jump[:, None], 0.0, whole.rows))
-        grown = noise_variances(self._noise, steps, np.where(jump, 0.0, dt_s), self._growth)
-        v = grown.variances
-        sd = np.sqrt(np.stack((v.rot1, v.trans, v.across, v.rot2), axis=1))
-        bearing = np.arctan2(steps.dl_m, steps.ds_m) * self._noise.law.along_travel
-        self._growth, self._last = grown.growth, (int(stamps_ns[-1]), clean_xyt[-1].copy())
-        return Motions(poses, jump, np.column_stack((steps.rows, bearing)), sd)
-
-
-def swing_of(model: MotionModel) -> float:
-    """Return the fraction of rot1 that precedes an increment's translation: half of it on an arc."""
-    return 0.5 if model.noise.law.arc else 1.0
-
-
-def moved(pose: Array, step: Array, noise: Array, swing: float) -> Array:
-    """Return poses (n, 3) after one increment (4,) from poses (n, 3) or (3,), with noise (n, 4) added."""
-    ds, dl, turn, bearing = step
-    x, y, theta = pose.T
-    along = noise[:, 1] * np.cos(bearing) - noise[:, 2] * np.sin(bearing) + ds
-    across = noise[:, 1] * np.sin(bearing) + noise[:, 2] * np.cos(bearing) + dl
-    heading = theta + swing * noise[:, 0] + turn / 2.0
-    c, s = np.cos(heading), np.sin(heading)
-    return np.column_stack(
-        (x + c * along - s * across, y + s * along + c * across, theta + turn + noise[:, 0] + noise[:, 3])
-    )
+    pose : (n, 3) or (3,) poses before them; steps : (k, 4), see `Motions`; noise : (k, n, 4) errors added to them
+    swing : fraction of rot1 that precedes an increment's translation: half of it on an arc
+    """
+    ds, dl, turn, bearing = steps.T[:, :, None]
+    rot1, trans, aside, rot2 = np.moveaxis(noise, -1, 0)
+    along = trans * np.cos(bearing) - aside * np.sin(bearing) + ds
+    across = trans * np.sin(bearing) + aside * np.cos(bearing) + dl
+    first: Array = np.broadcast_to(pose, (1, noise.shape[1], 3))
+    theta = np.cumsum(np.concatenate((first[..., 2], turn + rot1 + rot2)), axis=0)
+    x, y = rotated(along, across, theta[:-1] + swing * rot1 + turn / 2.0)
+    place = [np.cumsum(np.concatenate((first[..., i], way)), axis=0)[1:] for i, way in enumerate((x, y))]
+    return np.stack((*place, theta[1:]), axis=-1)
 
 
 _AT_ONCE = 1024
@@ -243,6 +202,10 @@ class Walked:
         return rows, run
 
 
+_SHORT, _LONG = 4, 1024
+"""Increments drawn ahead: few after meeting a wall, more otherwise."""
+
+
 class FreeRuns:
     """Runs of a drive that stay in free space, fed with the odometry batch by batch.
 
@@ -252,120 +215,145 @@ class FreeRuns:
 
     particles : 0, or the number of variants of a single run, drawn instead of runs. They are redrawn only if all are
         stuck, else copied: the distribution is that of whole free paths, not of increments (section 4.3 of the book)
+    plan : normals of a path that is free as a whole, which are drawn first; None: each run's usual normals
     redrawn : number of increments so far that were not free at the first draw
     resampled : number of times a run without a free try was replaced by a copy of another one
     """
 
-    def __init__(self, model: MotionModel, within: Constraint, *, seed: int, runs: range, particles: int = 0) -> None:
-        self._reader, self._space = MotionReader(without_effects(model)), within.space
+    def __init__(
+        self,
+        model: MotionModel,
+        within: Constraint,
+        *,
+        seed: int,
+        runs: range,
+        particles: int = 0,
+        plan: Plan | None = None,
+    ) -> None:
+        self._noise, self._within, self._plan, self._whole = without_effects(model).noise, within, plan, bool(particles)
+        self._swing = 0.5 if self._noise.law.arc else 1.0
         keys = [(run, 0) for run in runs] if not particles else [(runs.start, number) for number in range(particles)]
         self._own = [stream(seed, run, "noise", number) for run, number in keys]
-        again = [stream(seed, run, "map", number) for run, number in keys]
-        choose = stream(seed, runs.start, "map resampling")
-        self._walk = _Walk(within, again, choose, swing_of(model), whole=bool(particles))
+        self._again = [stream(seed, run, "map", number) for run, number in keys]
+        self._choose = stream(seed, runs.start, "map resampling")
+        self.redrawn = self.resampled = 0
         self.restart()
-
-    @property
-    def redrawn(self) -> int:
-        """Number of increments drawn again."""
-        return self._walk.redrawn
-
-    @property
-    def resampled(self) -> int:
-        """Number of times a run was replaced by a copy of another one."""
-        return self._walk.resampled
 
     def restart(self) -> None:
         """Begin a new path: the next pose is a first pose, and unchanged."""
-        self._reader.restart()
+        self._growth = StepGrowth()
+        self._last: tuple[int, Array] | None = None
         self._pose = np.zeros((0, 3))
+        self._ahead = _LONG
+
+    @property
+    def begun(self) -> bool:
+        """Whether a first pose was fed."""
+        return self._last is not None
 
     def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Walked:
-        """Return the runs at the next n poses; stamps ascend. See `NoisyPath.feed`.
+        """Return the runs at the next n poses, n > 0; stamps ascend. See `NoisyPath.feed`.
 
         Raises
         ------
         MapError
             If the first pose is not free, or an increment has no free try in any run.
         """
-        if not self._reader.begun:
-            require_free(self._space, clean_xyt[0])
+        if self._last is None:
+            require_free(self._within.space, clean_xyt[0])
             self._pose = np.repeat(clean_xyt[:1], len(self._own), axis=0)
-        motions, pose = self._reader.read(stamps_ns, clean_xyt), self._pose
-        poses = motions.clean_xyt
-        normals = np.stack([rng.standard_normal((len(clean_xyt), 4)) for rng in self._own], axis=1)
-        out = np.empty((len(pose), len(clean_xyt), 3))
+        motions, pose, count = self._motions(stamps_ns, clean_xyt), self._pose, len(clean_xyt)
+        normals = np.stack([rng.standard_normal((count, 4)) for rng in self._own], axis=1)
+        if self._plan is not None:
+            normals[:, 0] = self._plan.at(stamps_ns, normals[:, 0])
+        out = np.empty((len(pose), count, 3))
         every = np.arange(len(pose))
-        parents = np.tile(every, (len(clean_xyt), 1))
+        parents = np.tile(every, (count, 1))
         ancestors = every
-        for i in range(len(clean_xyt)):
+        jumps = np.append(np.flatnonzero(motions.jump), count)
+        i = 0
+        while i < count:
             if motions.jump[i]:
-                pose = compose(compose(pose, inverse(poses[i])), poses[i + 1])
+                pose = compose(compose(pose, inverse(motions.clean_xyt[i])), motions.clean_xyt[i + 1])
             else:
-                pose, parents[i] = self._walk.on(pose, motions.step[i], motions.sd[i], normals[i])
+                rows = slice(i, min(i + self._ahead, int(jumps[np.searchsorted(jumps, i)])))
+                ahead, stuck = self._first_draw(pose, motions, rows, normals[rows])
+                out[:, i : i + len(ahead)] = np.swapaxes(ahead, 0, 1)
+                i, pose = i + len(ahead), ahead[-1] if len(ahead) else pose
+                self._ahead = min(2 * self._ahead, _LONG)
+                if not len(stuck):
+                    continue
+                self._ahead = _SHORT
+                pose, parents[i] = self._redrawn(pose, motions, i, stuck, normals[i])
                 if (parents[i] != every).any():
                     out[:, :i], ancestors = out[parents[i], :i], ancestors[parents[i]]
             out[:, i] = pose
+            i += 1
         self._pose = pose
         return Walked(out, ancestors, parents, normals)
 
+    def _motions(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Motions:
+        """Return the motions that end at the next n poses (n, 3); a first pose ends an empty motion."""
+        before_ns, before_xyt = (int(stamps_ns[0]), clean_xyt[0]) if self._last is None else self._last
+        poses: Array = np.concatenate((before_xyt[None], clean_xyt))
+        dt_s = np.diff(stamps_ns, prepend=before_ns) * np.float64(1e-9)
+        travel = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+        jump = travel > JUMP_SPEED * np.maximum(dt_s, JUMP_MIN_S)
+        steps = Increments.of_rows(np.where(jump[:, None], 0.0, increments(poses).rows))
+        v, self._growth = noise_variances(self._noise, steps, np.where(jump, 0.0, dt_s), self._growth)
+        sd = np.sqrt(np.stack((v.rot1, v.trans, v.across, v.rot2), axis=1))
+        bearing = np.arctan2(steps.dl_m, steps.ds_m) * self._noise.law.along_travel
+        self._last = int(stamps_ns[-1]), clean_xyt[-1].copy()
+        return Motions(poses, jump, np.column_stack((steps.rows, bearing)), sd)
 
-class _Walk:
-    """Propagates many robots by one increment at a time."""
-
-    def __init__(
-        self, within: Constraint, again: list[np.random.Generator], choose: np.random.Generator, swing: float, *,
-        whole: bool,
-    ) -> None:  # fmt: skip
-        self._within, self._again, self._choose, self._swing, self._whole = within, again, choose, swing, whole
-        self._rounds = rounds(within.tries)
-        self.redrawn = self.resampled = 0
-
-    def on(self, pose: Array, step: Array, sd: Array, normals: Array) -> tuple[Array, NDArray[np.intp]]:
-        """Return poses (runs, 3) after an increment, and the index (runs,) of the run that each is a copy of.
-
-        normals : (runs, 4) of rot1, trans, across, rot2; replaced by those of the tries that were accepted
-        """
-        ahead = moved(pose, step, normals * sd, self._swing)
-        parents: NDArray[np.intp] = np.arange(len(pose))
-        if not (sd.any() or step[:3].any()):
-            return ahead, parents
-        bad = ~self._within.allows(pose[:, :2], ahead[:, :2])
+    def _first_draw(self, pose: Array, motions: Motions, rows: slice, normals: Array) -> tuple[Array, NDArray[np.intp]]:
+        """Return poses (k, runs, 3) before the first increment that is not free in every run, and the runs stuck."""
+        drawn = walked(pose, motions.step[rows], normals * motions.sd[rows, None], self._swing)
+        from_xy = np.concatenate((pose[None], drawn[:-1]))[..., :2].reshape(-1, 2)
+        bad = ~self._within.allows(from_xy, drawn[..., :2].reshape(-1, 2))
         # a robot whose pose was set into a wall may leave it
-        stuck = np.flatnonzero(bad & self._within.space.free(pose[:, :2]))
+        bad &= self._within.space.free(from_xy)
+        bad = bad.reshape(drawn.shape[:2]) & ~motions.rest[rows, None]
+        if not bad.any():
+            return drawn, np.zeros(0, dtype=np.intp)
+        first = int(np.argmax(bad.any(axis=1)))
+        return drawn[:first], np.flatnonzero(bad[first])
+
+    def _redrawn(
+        self, pose: Array, motions: Motions, i: int, stuck: NDArray[np.intp], normals: Array
+    ) -> tuple[Array, NDArray[np.intp]]:
+        """Return poses (runs, 3) after increment i, drawn again for stuck runs, and the run each is a copy of.
+
+        normals : (runs, 4); replaced by those of the tries that were accepted
+        """
+        step, sd, tries = motions.step[i : i + 1], motions.sd[i], self._within.tries
+        parents: NDArray[np.intp] = np.arange(len(pose))
         self.redrawn += len(stuck)
-        for count in () if self._whole and len(stuck) < len(pose) else self._rounds:
-            if len(stuck):
-                stuck = self._redraw_stuck(pose, step, sd, stuck, count, ahead, normals)
+        rounds = min(_FIRST_TRIES, tries - 1), tries - 1 - _FIRST_TRIES
+        for count in rounds if not self._whole or len(stuck) == len(pose) else ():
+            if count <= 0 or not len(stuck):
+                break
+            again = np.stack([self._again[run].standard_normal((count, 4)) for run in stuck])
+            origin = np.repeat(pose[stuck], count, axis=0)
+            drawn = walked(origin, step, (again * sd).reshape(1, -1, 4), self._swing)[0]
+            good = self._within.allows(origin[:, :2], drawn[:, :2]).reshape(-1, count)
+            found, first = good.any(axis=1), np.argmax(good, axis=1)
+            normals[stuck[found]] = again[found, first[found]]
+            stuck = stuck[~found]
         if len(stuck):
             alive = np.setdiff1d(parents, stuck)
             if not len(alive):
                 x, y = pose[:, :2].mean(axis=0)
+                paths = f" of any of {len(pose)} paths" if len(pose) > 1 else ""
                 raise NoFreePoseError(
-                    f"about ({x:.2f} m, {y:.2f} m) none of {self._within.tries} tries of any of {len(pose)} paths ends "
-                    "where the map is free"
+                    f"at ({x:.2f} m, {y:.2f} m) none of {tries} tries{paths} ends where the map is free"
                 )
             self.resampled += len(stuck)
             parents[stuck] = alive[self._choose.integers(len(alive), size=len(stuck))]
-        return ahead[parents], parents
-
-    def _redraw_stuck(
-        self, pose: Array, step: Array, sd: Array, stuck: NDArray[np.intp], count: int, ahead: Array, normals: Array
-    ) -> NDArray[np.intp]:
-        """Draw `count` candidates per stuck run, put the first free one into `ahead`, and return the runs not freed."""
-        again = np.concatenate([self._again[run].standard_normal((count, 4)) for run in stuck])
-        origin = np.repeat(pose[stuck], count, axis=0)
-        candidates = moved(origin, step, again * sd, self._swing)
-        good = self._within.allows(origin[:, :2], candidates[:, :2]).reshape(-1, count)
-        found = good.any(axis=1)
-        first = np.argmax(good, axis=1)
-        ahead[stuck[found]] = candidates.reshape(-1, count, 3)[found, first[found]]
-        normals[stuck[found]] = again.reshape(-1, count, 4)[found, first[found]]
-        return stuck[~found]
+        return walked(pose, step, (normals * sd)[None], self._swing)[0][parents], parents
 
 
 PARTICLES = 64
-_BLOCK = 1024
 _MOST_SIGMAS = 6.0
 """Drift at the end, in standard deviations, above which it is attributed to the map instead of the noise."""
 _MOST_OUTSIDE = 0.25
@@ -407,13 +395,13 @@ def plan_path(
     """
     runs = FreeRuns(model, within, seed=seed, runs=range(run, run + 1), particles=PARTICLES)
     beginnings = []
-    for begin in range(0, len(stamps_ns), _BLOCK):
-        beginnings.append(copy.deepcopy(runs))
-        runs.feed(stamps_ns[begin : begin + _BLOCK], clean_xyt[begin : begin + _BLOCK])
+    for begin in range(0, len(stamps_ns), _AT_ONCE):
+        beginnings.append(copy.deepcopy(runs, {id(within): within}))
+        runs.feed(stamps_ns[begin : begin + _AT_ONCE], clean_xyt[begin : begin + _AT_ONCE])
     taken = int(stream(seed, run, "map path").integers(PARTICLES))
     normals = np.empty((len(stamps_ns), 4))
     for number in range(len(beginnings) - 1, -1, -1):
-        part = slice(number * _BLOCK, (number + 1) * _BLOCK)
+        part = slice(number * _AT_ONCE, (number + 1) * _AT_ONCE)
         normals[part], taken = beginnings[number].feed(stamps_ns[part], clean_xyt[part]).lineage(taken)
     return Plan(stamps_ns, normals, PARTICLES, runs.resampled)
 
@@ -456,37 +444,31 @@ def _refuse_held_back(samples: PathSamples) -> None:
         )
 
 
-_SHORT, _LONG = 4, 1024
-"""Increments drawn ahead: few after meeting a wall, more otherwise."""
-
-
 class FreePath:
     """Source of one run's path within free space; see `FreeRuns` for the draws and their number.
 
-    plan : normals of a path that is free as a whole, which are drawn first; None: the run's usual normals
     increments : number of increments so far
-    redrawn : number of them that were not free at the first draw
     astray : number of odometry poses that are not free even without noise
     """
 
     def __init__(
         self, model: MotionModel, within: Constraint, seed: int, run: int = 0, plan: Plan | None = None
     ) -> None:
-        self._plan, self._within, self._space = plan, within, within.space
-        self._swing = swing_of(without_effects(model))
-        self._reader = MotionReader(model)
-        self._own, self._again = stream(seed, run, "noise"), stream(seed, run, "map")
-        self._replay = _Replay()
-        self._path = NoisyPath(model, seed, run, normals=self._replay)
-        self.increments = self.redrawn = self.astray = 0
-        self.restart()
+        self._plan, self._space = plan, within.space
+        self._runs = FreeRuns(model, within, seed=seed, runs=range(run, run + 1), plan=plan)
+        self._accepted = _Replay()
+        self._path = NoisyPath(model, seed, run, normals=self._accepted)
+        self.increments = self.astray = 0
+
+    @property
+    def redrawn(self) -> int:
+        """Number of increments that were not free at the first draw."""
+        return self._runs.redrawn
 
     def restart(self) -> None:
         """Begin a new path: the next pose is a first pose, and unchanged."""
-        self._reader.restart()
+        self._runs.restart()
         self._path.restart()
-        self._pose = np.zeros(3)
-        self._ahead = _LONG
 
     def account(self) -> str:
         """Return the numbers of redrawn increments and poses outside, in one or two sentences."""
@@ -505,98 +487,21 @@ class FreePath:
         MapError
             If the first pose is not free, or no try of an increment ends in free space.
         """
-        if not len(stamps_ns):
-            return self._path.feed(stamps_ns, clean_xyt)
-        first = not self._reader.begun
-        if first:
-            require_free(self._space, clean_xyt[0])
-            self._pose = clean_xyt[0].copy()
-        motions = self._reader.read(stamps_ns, clean_xyt)
-        self.increments += len(stamps_ns) - first
-        self.astray += int(np.count_nonzero(~self._space.free(clean_xyt[:, :2])))
-        normals = self._own.standard_normal((len(stamps_ns), 4))
-        if self._plan is not None:
-            normals = self._plan.at(stamps_ns, normals)
-        parts, done = [], 0
-        while done < len(stamps_ns):
-            rows = slice(done, done + self._ahead)
-            part = self._free_prefix(stamps_ns[rows], motions, done, normals[rows])
-            if not len(part):
-                part = self._redraw_one(stamps_ns[rows][:1], motions, done)
-            self._pose = part.clean_xyt[-1] + part.error_xyt[-1]
-            parts.append(part)
-            done += len(part)
-        return _joined(parts)
-
-    def _free_prefix(self, stamps_ns: NDArray[np.int64], motions: Motions, at: int, normals: Array) -> PathSamples:
-        """Draw increments ahead, and keep those before the first one that is not free."""
-        count = len(stamps_ns)
-        clean_xyt = motions.clean_xyt[at + 1 : at + 1 + count]
-        trial = copy.copy(self._path)
-        self._replay.rows = normals
-        samples = trial.feed(stamps_ns, clean_xyt)
-        noisy_xy = clean_xyt[:, :2] + samples.error_xyt[:, :2]
-        from_xy = np.concatenate((self._pose[None, :2], noisy_xy[:-1]))
-        good = self._within.allows(from_xy, noisy_xy)
-        good |= (motions.jump | motions.rest)[at : at + count]
-        # a robot whose pose was set into a wall may leave it
-        good |= ~self._space.free(from_xy)
-        if good.all():
-            self._path = trial
-            self._ahead = min(2 * self._ahead, _LONG)
-            return samples
-        free = int(np.argmin(good))
-        self._ahead = _SHORT
-        self._replay.rows = normals[:free]
-        return self._path.feed(stamps_ns[:free], clean_xyt[:free])
-
-    def _redraw_one(self, stamp_ns: NDArray[np.int64], motions: Motions, at: int) -> PathSamples:
-        """Draw one increment again whose first draw is not free."""
-        self.redrawn += 1
-        clean_xyt, step, sd = motions.clean_xyt[at + 1 : at + 2], motions.step[at], motions.sd[at]
-        for count in rounds(self._within.tries):
-            again = self._again.standard_normal((count, 4))
-            candidates = moved(self._pose, step, again * sd, self._swing)
-            from_xy = np.broadcast_to(self._pose[:2], (count, 2))
-            for number in np.flatnonzero(self._within.allows(from_xy, candidates[:, :2])):
-                trial = copy.copy(self._path)
-                self._replay.rows = again[number : number + 1]
-                samples = trial.feed(stamp_ns, clean_xyt)
-                # at the edge of a cell rounding decides, and the path's own pose counts
-                there_xy = clean_xyt[:, :2] + samples.error_xyt[:, :2]
-                if self._within.allows(from_xy[:1], there_xy)[0]:
-                    self._path = trial
-                    return samples
-        x, y = self._pose[:2]
-        raise NoFreePoseError(
-            f"at ({x:.2f} m, {y:.2f} m) none of {self._within.tries} tries ends where the map is free"
-        )
+        if len(stamps_ns):
+            self.increments += len(stamps_ns) - (not self._runs.begun)
+            self._accepted.rows = self._runs.feed(stamps_ns, clean_xyt).normals[:, 0]
+            self.astray += int(np.count_nonzero(~self._space.free(clean_xyt[:, :2])))
+        return self._path.feed(stamps_ns, clean_xyt)
 
 
 class _Replay:
-    """Source of previously chosen normals for the next increments."""
+    """Source of normals that were accepted for the next increments."""
 
-    def __init__(self) -> None:
-        self.rows = np.zeros((0, 4))
+    rows: Array
 
     def standard_normal(self, size: tuple[int, int]) -> Array:
-        """Return the chosen rows, as many as requested."""
+        """Return the accepted normals, as many as requested."""
         return self.rows.reshape(size)
-
-
-def _joined(parts: list[PathSamples]) -> PathSamples:
-    if len(parts) == 1:
-        return parts[0]
-    return PathSamples(
-        np.concatenate([part.stamps_ns for part in parts]),
-        np.concatenate([part.clean_xyt for part in parts]),
-        np.concatenate([part.error_xyt for part in parts]),
-        np.concatenate([part.sums for part in parts], axis=1),
-        parts[0].origin_xy,
-        np.concatenate([part.travelled_m for part in parts]),
-        sum(part.jumps for part in parts),
-        sum(part.sideways_m for part in parts),
-    )
 
 
 OCCUPIED_PERCENT, FREE_PERCENT = 65, 25
