@@ -114,7 +114,7 @@ def walked(pose: Array, steps: Array, noise: Array, swing: float) -> Array:
     pose : (n, 3) or (3,) poses before them; steps : (k, 4), see `Motions`; noise : (k, n, 4) errors added to them
     swing : fraction of rot1 that precedes an increment's translation: half of it on an arc
     """
-    ds, dl, turn, bearing = steps.T[:, :, None]
+    ds, dl, turn, bearing = np.ascontiguousarray(steps.T)[:, :, None]
     rot1, trans, aside, rot2 = np.moveaxis(noise, -1, 0)
     along = trans * np.cos(bearing) - aside * np.sin(bearing) + ds
     across = trans * np.sin(bearing) + aside * np.cos(bearing) + dl
