@@ -133,7 +133,8 @@ def _accuracy(seen: Seen, run: LaserRun) -> dict[str, list[float]]:
     ahead = np.searchsorted(path.t_s, path.t_s + 0.999)
     rows = np.flatnonzero(ahead < len(t_s))
     rows = rows[np.abs(path.t_s[ahead[rows]] - path.t_s[rows] - 1.0) < 0.05]
-    miss = between(path.laser_xyt[rows], path.laser_xyt[ahead[rows]]) - between(real[rows], real[ahead[rows]])
+    laser = compose(path.xyt, run.calibration.motion.mount)
+    miss = between(laser[rows], laser[ahead[rows]]) - between(real[rows], real[ahead[rows]])
     miss[:, 2] = wrap(miss[:, 2])
     units = np.array([1e3, 1e3, np.degrees(1.0)])
     return {

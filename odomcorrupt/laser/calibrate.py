@@ -15,7 +15,7 @@ import numpy as np
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, wrap
 from odomcorrupt.geometry.trajectory import distance_along
-from odomcorrupt.laser.icp import best_guess, lines_of, match, surface_of, thinned
+from odomcorrupt.laser.icp import SURE_OVERLAP, best_guess, lines_of, match, surface_of, thinned
 from odomcorrupt.laser.scans import Deskewing, Motion
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ _APART_M, _APART_RAD = 0.25, 0.15
 _LAG_S, _LAG_STEP_S = 0.6, 0.01
 _USUAL_LAG_S = 0.2
 """Standard deviation of the lag before any turns are compared, s; scans of real robots are 0.08 to 0.19 s off."""
-_OVERLAP = 0.6
 _LEAST_PAIRS = 8
 _TURNS_RAD, _TURN_RATIOS = 0.5, (0.5, 2.0)
 _PLAIN_RATIO = 0.05
@@ -274,7 +273,7 @@ def _matched(now: Calibration, *, free: bool = False) -> _Pairs:
             ]
             guess = best_guess(thinned(other, 90), surface, np.stack(ways))
         fit = match(thinned(other, 240), surface, guess)
-        if fit is not None and fit.overlap > _OVERLAP:
+        if fit is not None and fit.overlap > SURE_OVERLAP:
             ends.append((a, b))
             fits.append(fit)
     first_s, second_s = t_s[np.array(ends, dtype=np.int64).reshape(-1, 2)].T

@@ -9,7 +9,7 @@ import numpy as np
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
 from odomcorrupt.laser.calibrate import calibrate
-from odomcorrupt.laser.icp import WEAK, best_guess, lines_of, match, surface_of, thinned
+from odomcorrupt.laser.icp import SURE_OVERLAP, WEAK, best_guess, lines_of, match, surface_of, thinned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from odomcorrupt.laser.trajectory import LaserRun
 
 _SWEEPS = 5
-_OVERLAP = 0.6
 _REACH_M, _STEP_M = 0.6, 0.2
 _STEP_RAD = np.radians(5.0)
 _COARSE, _MOST = 60, 360
@@ -63,7 +62,7 @@ def end_by_scans(sweeps: Sweeps, odometry: Trajectory) -> End:
         scan = scans[last]
         guess = best_guess(thinned(scan, _COARSE), surface, _everywhere(), within_m=2.0 * _STEP_M)
         matched = match(thinned(scan, _MOST), surface, guess)
-        if matched is None or matched.overlap < _OVERLAP or matched.ratio < WEAK:
+        if matched is None or matched.overlap < SURE_OVERLAP or matched.ratio < WEAK:
             continue
         laser = compose(compose(motion.mount, matched.pose), inverse(motion.mount))
         # from the sweeps to the odometry's first and last pose, by the odometry's motion between them
@@ -114,7 +113,7 @@ def lifted(run: LaserRun, before: int, after: int) -> Lift | None:
         own = between(laser[0], laser[1])
         guess = best_guess(thinned(scan, _COARSE), surface, own + guesses, within_m=2.0 * _STEP_M)
         matched = match(thinned(scan, _MOST), surface, guess)
-        if matched is None or matched.overlap < _OVERLAP:
+        if matched is None or matched.overlap < SURE_OVERLAP:
             return None
         pose = matched.pose.copy()
         if matched.ratio < WEAK:

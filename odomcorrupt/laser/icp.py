@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 LEAST_PAIRS = 20
 """Minimum number of returns matched to a surface for a pose."""
+OVERLAP, SURE_OVERLAP = 0.35, 0.6
+"""Least overlap of a match near the odometry's guess, and of one that is searched for or that sweeps are judged by."""
 WEAK = 0.15
 """Ratio of the smaller to the larger eigenvalue of the position's information below which the weak axis is unknown."""
 _GATES_M = (0.5, 0.3, 0.2, 0.15)
@@ -53,7 +55,6 @@ class Match:
     information : (3, 3) of the pose in the surface's axes about the sweep's origin, for returns with independent errors
     deviation_m : robust standard deviation of the returns from the surfaces, m
     overlap : fraction of the returns within 12 cm of a surface point
-    pairs : number of returns used
     ratio : smaller over larger eigenvalue of the position's information, with the heading free
     weak_axis : (2,) unit vector of the smaller eigenvalue, in the surface's axes
     """
@@ -62,7 +63,6 @@ class Match:
     information: Array
     deviation_m: float
     overlap: float
-    pairs: int
     ratio: float
     weak_axis: Array
 
@@ -111,7 +111,6 @@ def match(returns: Array, surface: Surface, guess: Array, gates_m: Sequence[floa
         information=information / deviation**2,
         deviation_m=deviation,
         overlap=float(np.count_nonzero(distance < _OVERLAP_M)) / len(returns),
-        pairs=len(paired),
         ratio=float(values[0] / max(values[1], 1e-12)),
         weak_axis=vectors[:, 0],
     )

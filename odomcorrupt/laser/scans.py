@@ -7,22 +7,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.se2 import between, compose
-from odomcorrupt.mapping.frames import FrameTree
-from odomcorrupt.mapping.messages import CLOUD, SCAN, ScanMessage, read_cloud, read_scan
+from odomcorrupt.mapping.messages import CLOUD, SCAN, ScanMessage, read_lasers
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import BagReader, Channel
+    from odomcorrupt.bags.block import BagReader
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
-    from odomcorrupt.mapping.frames import Mount
+    from odomcorrupt.mapping.frames import FrameTree, Mount
     from odomcorrupt.mapping.messages import CloudMessage
 
 
@@ -298,24 +295,14 @@ def read_sweeps(path: Path, place: str, topic: str | None, base_frame: str) -> S
     RecordingError
         If there are too few sweeps or returns to match.
     """
-    tree = FrameTree()
-    rows: list[tuple[ScanMessage | CloudMessage, int]] = []
-    with open_reader(path) as reader:
-        channels = _choose(reader.channels.values(), topic, place)
-        read = read_scan if channels[0].msgtype == SCAN else read_cloud
-        for block in reader.blocks():
-            tree.take(block, reader.channels.values())
-            for channel in channels:
-                for row in block.table[block.table["channel"] == channel.id]:
-                    data = block.data[row["offset"] : row["offset"] + row["length"]].tobytes()
-                    rows.append((read(data, channel.topic, channel.encoding), int(row["log_ns"])))
-    name = channels[0].topic
+    found = read_lasers(path, topic, (SCAN, CLOUD), place)
+    name, rows = found.topic, list(zip(found.messages, found.log_ns.tolist(), strict=True))
     where = f"{place}: {name}"
     if len(rows) < _LEAST_SWEEPS:
         raise RecordingError(f"{where} holds {len(rows)} sweeps; scan matching needs many more than {_LEAST_SWEEPS}")
     rows, notes = _ordered(rows, name)
     frame = rows[0][0].frame_id
-    mount = _mount(tree, base_frame, frame)
+    mount = _mount(found.tree, base_frame, frame)
     if mount is None:
         notes.append(f"{name}: TF does not contain the pose of {frame!r} on the robot; estimated from the motion")
     sweeps, view, more = _sweeps(rows, name)
@@ -329,25 +316,6 @@ def read_sweeps(path: Path, place: str, topic: str | None, base_frame: str) -> S
     first = rows[0][0]
     by_scan_time = isinstance(first, ScanMessage) and not _has_increment(first) and _time_step_s(first) > 0.0
     return Sweeps(where, name, frame, sweeps, view, logs, mount, (*notes, *more), by_scan_time)
-
-
-def _choose(channels: Iterable[Channel], topic: str | None, place: str) -> list[Channel]:
-    every = list(channels)
-    lasers = [c for c in every if c.msgtype in (SCAN, CLOUD)]
-    found = ", ".join(sorted({f"{c.topic} ({c.msgtype.rpartition('/')[2]})" for c in lasers})) or "none"
-    if topic is not None:
-        chosen = [c for c in lasers if c.topic.lstrip("/") == topic.lstrip("/")]
-        if not chosen:
-            raise TopicError(f"{place}: no LaserScan or PointCloud2 on {topic} (found {found}); name one with --scan")
-        return chosen
-    for kind in (SCAN, CLOUD):
-        topics = sorted({c.topic for c in lasers if c.msgtype == kind})
-        if len(topics) > 1:
-            raise TopicError(f"{place}: several lasers: {', '.join(topics)}. Name one with --scan.")
-        if topics:
-            return [c for c in lasers if c.topic == topics[0]]
-    there = ", ".join(sorted({c.topic for c in every})) or "no topic at all"
-    raise TopicError(f"{place}: no LaserScan or PointCloud2 topic (found {there})")
 
 
 def _ordered(

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, diags_array
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from odomcorrupt.geometry.se2 import between, compose, rotate, wrap
-from odomcorrupt.laser.icp import WEAK, Surface, best_guess, lines_of, match, surface_of, thinned
+from odomcorrupt.laser.icp import OVERLAP, SURE_OVERLAP, WEAK, Surface, best_guess, lines_of, match, surface_of, thinned
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
     from odomcorrupt.laser.scans import Sweeps
 
 
-_ROUNDS = 12
-_STEP = 1e-4
 _KERNEL = 12.0
 """Squared normalised residual at which a robust edge has a quarter of its weight."""
 
@@ -53,7 +52,7 @@ class Edges:
         return len(self.first)
 
 
-def optimise(poses: Array, edges: Edges, rounds: int = _ROUNDS) -> tuple[Array, Array]:
+def optimise(poses: Array, edges: Edges, rounds: int = 12) -> tuple[Array, Array]:
     """Return the most likely poses (n, 3), with the first one fixed, and the final weights (e,) of the edges."""
     poses = poses.copy()
     weight = np.ones(len(edges))
@@ -82,26 +81,22 @@ def optimise(poses: Array, edges: Edges, rounds: int = _ROUNDS) -> tuple[Array, 
         gradient = np.zeros(3 * count)
         np.add.at(gradient, rows.ravel(), (pulled @ miss[:, :, None])[:, :, 0].ravel())
         normal = coo_array((blocks.ravel(), (at[0].ravel(), at[1].ravel())), shape=(3 * count, 3 * count)).tocsc()
-        inner = normal[3:, 3:] + 1e-9 * _eye(3 * count - 3)
+        inner = normal[3:, 3:] + diags_array(np.full(3 * count - 3, 1e-9))
         step = np.zeros(3 * count)
         step[3:] = -splu(inner.tocsc()).solve(gradient[3:])
         poses += step.reshape(-1, 3)
-        if float(np.abs(step).max()) < _STEP:
+        if float(np.abs(step).max()) < 1e-4:  # converged
             break
     return poses, weight
-
-
-def _eye(size: int) -> coo_array:
-    index = np.arange(size)
-    return coo_array((np.ones(size), (index, index)), shape=(size, size)).tocsc()
 
 
 NEIGHBOURS = 8
 """Maximum number of nearest keyframes to which a new one is connected."""
 _NEAR_M = 3.0
 _LOCAL = 6
-_PAIR_OVERLAP, _LOOP_OVERLAP = 0.35, 0.55
+_LOOP_OVERLAP = 0.55
 _QUERY, _COARSE = 240, 60
+"""Numbers of returns with which a pose is refined, and with which the nearest of many guesses is found."""
 _REACH_M, _REACH_RAD = 0.5, 0.1
 _STEPS = np.stack(np.meshgrid(*(np.array([-1.0, 0.0, 1.0]),) * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 _HELD = 0.3
@@ -129,7 +124,6 @@ class KeyframeMap:
         self.poses = np.zeros((0, 3))
         self.scans: list[Array] = []
         self.edges: list[Edge] = []
-        self.weights: Array = np.zeros(0)
         self._own: list[Lines] = []
         self._single: dict[int, Surface] = {}
         self._local: dict[int, Surface] = {}
@@ -164,7 +158,7 @@ class KeyframeMap:
     def local(self, k: int) -> Surface:
         """Return the surface of a keyframe and its nearest connected ones, in its frame."""
         if k not in self._local:
-            chosen = [k, *self.nearest(k, list(self._beside[k]))[:_LOCAL]]
+            chosen = [k, *self.nearest(self.poses[k], list(self._beside[k]))[:_LOCAL]]
             parts = []
             for other in chosen:
                 points, facing = self._own[other]
@@ -174,16 +168,12 @@ class KeyframeMap:
             self._local[k] = surface_of(*(np.concatenate(p) for p in zip(*parts, strict=True)))
         return self._local[k]
 
-    def nearest(self, k: int, others: list[int]) -> list[int]:
-        """Return keyframes sorted by distance from keyframe `k`, see `distances`."""
-        return self.nearest_to(self.poses[k], others)
-
-    def nearest_to(self, pose: Array, others: list[int]) -> list[int]:
+    def nearest(self, pose: Array, others: list[int]) -> list[int]:
         """Return keyframes sorted by distance from a pose, see `distances`."""
         if not others:
             return []
         index = np.array(others)
-        return [int(i) for i in index[np.argsort(self.distances(pose, index), kind="stable")]]
+        return index[np.argsort(self.distances(pose, index), kind="stable")].tolist()
 
     def distances(self, pose: Array, index: Array) -> Array:
         """Return distances (n,) of keyframes from a pose, m; for a narrow field of view, a radian counts as a metre."""
@@ -205,20 +195,20 @@ class KeyframeMap:
     def tie(self, k: int, skip: set[int]) -> int:
         """Match a new keyframe with the nearest others, and return the number of loops closed."""
         others = [i for i in range(len(self)) if i != k and i not in skip and i not in self._beside[k]]
-        near = self.nearest(k, others)[:NEIGHBOURS]
-        near = [i for i in near if float(self.distances(self.poses[k], np.array([i]))[0]) < _NEAR_M]
-        around = set(self.reachable(k, 4))
-        count = 0
-        for i in near:
-            found = self.pair(i, k, wide=i not in around)
-            if found is not None:
-                self.connect(Edge(i, k, found.pose, edge_information(found), matched=True, loop=i not in around))
-                count += i not in around
-        return count
+        return sum(self._matched(k, self.nearest(self.poses[k], others)[:NEIGHBOURS]))
 
-    def around(self, k: int, scan: Array, guess: Array) -> Array:
-        """Return the pose (3,) near a guess, in a keyframe's frame, at which a scan is nearest to the surfaces."""
-        return best_guess(thinned(scan, _COARSE), self.local(k), guess + _STEPS * (_REACH_M, _REACH_M, _REACH_RAD))
+    def _matched(self, k: int, near: list[int]) -> list[bool]:
+        """Connect keyframe k with those of `near` within 3 m that it matches; return whether each match is a loop."""
+        around, loops = set(self.reachable(k, 4)), []
+        for i in near:
+            if float(self.distances(self.poses[k], np.array([i]))[0]) > _NEAR_M:
+                continue
+            loop = i not in around
+            found = self.pair(i, k, wide=loop)
+            if found is not None:
+                self.connect(Edge(i, k, found.pose, edge_information(found), matched=True, loop=loop))
+                loops.append(loop)
+        return loops
 
     def pair(self, i: int, k: int, *, wide: bool) -> Match | None:
         """Return the match of keyframe k in keyframe i's frame; None if they do not match.
@@ -231,9 +221,9 @@ class KeyframeMap:
         if wide:
             if len(surface.points) < _COARSE:
                 return None
-            guess = best_guess(thinned(scan, _COARSE), surface, guess + _STEPS * (_REACH_M, _REACH_M, _REACH_RAD))
+            guess = nearest_pose(scan, surface, guess)
         found = match(thinned(scan, _QUERY), surface, guess)
-        if found is None or found.overlap < (_LOOP_OVERLAP if wide else _PAIR_OVERLAP):
+        if found is None or found.overlap < (_LOOP_OVERLAP if wide else OVERLAP):
             return None
         if not wide:
             away = found.pose - guess
@@ -246,12 +236,12 @@ class KeyframeMap:
         if not self.edges:
             return
         before = self.poses
-        self.poses, self.weights = optimise(self.poses, self._graph())
+        self.poses, weights = optimise(self.poses, Edges(*map(np.array, list(zip(*self.edges, strict=True))[:5])))
         i, j = np.array([(e.first, e.second) for e in self.edges]).T
         moved = np.abs(between(before[i], before[j]) - between(self.poses[i], self.poses[j])).max(axis=1) > 1e-3
         for k in {*i[moved].tolist(), *j[moved].tolist()}:
             self._local.pop(k, None)
-        for edge, weight in zip(self.edges, self.weights, strict=True):
+        for edge, weight in zip(self.edges, weights, strict=True):
             if edge.loop and weight < _HELD:
                 for one, other in ((edge.first, edge.second), (edge.second, edge.first)):
                     if other in self._beside[one]:
@@ -265,49 +255,30 @@ class KeyframeMap:
         for k in range(len(self)):
             if len(self._beside[k]) >= NEIGHBOURS:
                 continue
-            skip = {i for i in range(len(self)) if (min(i, k), max(i, k)) in tried}
-            others = [i for i in range(len(self)) if i != k and i not in skip]
-            near = self.nearest(k, others)[: NEIGHBOURS // 2]
-            around = set(self.reachable(k, 4))
-            for i in near:
-                tried.add((min(i, k), max(i, k)))
-                if float(self.distances(self.poses[k], np.array([i]))[0]) > _NEAR_M:
-                    continue
-                found = self.pair(i, k, wide=i not in around)
-                if found is not None:
-                    self.connect(Edge(i, k, found.pose, edge_information(found), matched=True, loop=i not in around))
-                    count += 1
+            others = [i for i in range(len(self)) if i != k and (min(i, k), max(i, k)) not in tried]
+            near = self.nearest(self.poses[k], others)[: NEIGHBOURS // 2]
+            tried |= {(min(i, k), max(i, k)) for i in near}
+            count += len(self._matched(k, near))
         return count
 
     def parts(self) -> Array:
         """Return the index (k,) of the part of the map, connected by matches, to which each keyframe belongs."""
-        label = np.full(len(self), -1)
-        part = 0
-        for k in range(len(self)):
-            if label[k] >= 0:
-                continue
-            ring = {k}
-            while ring:
-                for i in ring:
-                    label[i] = part
-                ring = {o for i in ring for o in self._beside[i] if label[o] < 0}
-            part += 1
-        return label
-
-    def _graph(self) -> Edges:
-        return Edges(
-            first=np.array([e.first for e in self.edges]),
-            second=np.array([e.second for e in self.edges]),
-            pose=np.stack([e.pose for e in self.edges]),
-            information=np.stack([e.information for e in self.edges]),
-            robust=np.array([e.matched for e in self.edges]),
+        pairs = np.array([(k, i) for k, beside in enumerate(self._beside) for i in beside], dtype=np.int64).reshape(
+            -1, 2
         )
+        graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(self), len(self)))
+        return connected_components(graph, directed=False)[1]
 
     def dead_reckoned(self, i: int, k: int, pose: Array) -> Edge:
         """Return an odometry edge between two keyframes, with so little weight that it matters only without matches."""
         far = 0.1 + float(np.hypot(pose[0], pose[1])) + 0.2 * abs(float(pose[2]))
         deviation = np.array([_ODOMETRY_M, _ODOMETRY_M, _ODOMETRY_RAD]) * far
         return Edge(i, k, pose, np.diag(1.0 / deviation**2), matched=False, loop=False)
+
+
+def nearest_pose(scan: Array, surface: Surface, guess: Array) -> Array:
+    """Return the pose (3,) within 0.5 m and 0.1 rad of a guess at which a scan is nearest to a surface."""
+    return best_guess(thinned(scan, _COARSE), surface, guess + _STEPS * (_REACH_M, _REACH_M, _REACH_RAD))
 
 
 def edge_information(found: Match) -> Array:
@@ -326,21 +297,13 @@ def edge_information(found: Match) -> Array:
     return information
 
 
-def placed(poses: Array, k: Array, relative: Array) -> Array:
-    """Return map poses (n, 3) of poses relative (n, 3) to keyframes with indices `k` (n,)."""
-    return compose(poses[k], relative)
-
-
 _TRACK_QUERY = 180
-_OVERLAP = 0.35
-_SURE_OVERLAP = 0.6
 _AWAY_M, _AWAY_RAD = 0.25, 0.2
 _AWAY_SHARE = 0.2
-_NEW_M, _LEAST_M, _NEW_OVERLAP = 0.5, 0.1, 0.6
+_NEW_M, _LEAST_M = 0.5, 0.1
 _LOST = 3
 _LEAST_RETURNS = 40
 _FAST_MPS, _FAST_RADPS = 5.0, 6.0
-_CLOSE_ROUNDS = 3
 _GATES_M = (0.4, 0.25, 0.15)
 
 
@@ -370,7 +333,7 @@ def make_map(sweeps: Sweeps, calibration: Calibration, progress: Callable[[float
             progress(n / len(sweeps))
         tracker.take(n)
     world = tracker.world
-    for _ in range(_CLOSE_ROUNDS):
+    for _ in range(3):
         world.settle()
         if not world.close():
             break
@@ -424,12 +387,12 @@ class _Tracker:
             return None
         world, query = self.world, thinned(scan, _TRACK_QUERY)
         found = match(query, world.local(self._current), guess, _GATES_M)
-        if _fits(found, guess, step, _OVERLAP, 1.0):
+        if _fits(found, guess, step, OVERLAP, 1.0):
             return found
         if not self._lost:
             return None
-        found = match(query, world.local(self._current), world.around(self._current, scan, guess))
-        return found if _fits(found, guess, step, _SURE_OVERLAP, 3.0) else None
+        found = match(query, world.local(self._current), nearest_pose(scan, world.local(self._current), guess))
+        return found if _fits(found, guess, step, SURE_OVERLAP, 3.0) else None
 
     def _begin(self, n: int, scan: Array, guess: Array) -> None:
         """Begin a new part of the map after tracking is lost, and try to match it with existing keyframes."""
@@ -445,9 +408,9 @@ class _Tracker:
         world, current = self.world, self._current
         self.keyframe[n], self.relative[n] = current, found.pose
         pose = compose(world.poses[current], found.pose)
-        best = world.nearest_to(pose, world.reachable(current))[0]
+        best = world.nearest(pose, world.reachable(current))[0]
         away_m = float(world.distances(pose, np.array([best]))[0])
-        if away_m > _NEW_M or (found.overlap < _NEW_OVERLAP and away_m > _LEAST_M):
+        if away_m > _NEW_M or (found.overlap < SURE_OVERLAP and away_m > _LEAST_M):
             new = world.add(scan, pose)
             world.connect(Edge(current, new, found.pose, edge_information(found), matched=True, loop=False))
             world.connect(world.dead_reckoned(current, new, guess))

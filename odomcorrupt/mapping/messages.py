@@ -1,4 +1,4 @@
-"""Read laser scans and occupancy grids from serialised messages.
+"""Read laser scans, point clouds and occupancy grids from bags and serialised messages.
 
 Messages are untrusted: every count is checked against the bytes present before memory is allocated.
 """
@@ -7,16 +7,22 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.errors import BagError
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.errors import BagError, TopicError
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
+from odomcorrupt.mapping.frames import FrameTree
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
+    from odomcorrupt.bags.block import Channel
     from odomcorrupt.geometry.se2 import Array
 
 SCAN = "sensor_msgs/msg/LaserScan"
@@ -189,3 +195,57 @@ def read_grid(data: bytes, topic: str, encoding: str) -> GridMessage:
         raise BagError(f"{topic}: a grid with resolution {resolution} and origin {pose[:2]}; the message is damaged")
     origin = np.array([pose[0], pose[1], float(yaw_from_quaternion(pose[3:]))])
     return GridMessage(frame, float(resolution), origin, cells.reshape(height, width))
+
+
+class Lasers(NamedTuple):
+    """All messages of one laser, with the log time of each, ns; names of bag and topic, and the transforms of the bag."""
+
+    messages: list[ScanMessage | CloudMessage]
+    log_ns: NDArray[np.int64]
+    place: str
+    topic: str
+    tree: FrameTree
+
+
+def read_lasers(path: Path, topic: str | None, kinds: Sequence[str], place: str | None = None) -> Lasers:
+    """Return the messages of a topic of a bag, or of the only one of the first of these types that there is.
+
+    place : name of the bag for messages
+
+    Raises
+    ------
+    TopicError
+        If there is no such topic, or the choice is ambiguous.
+    """
+    tree, messages, logs = FrameTree(), [], []
+    with open_reader(path) as reader:
+        place = place or reader.name
+        channels = _choose(list(reader.channels.values()), topic, kinds, place)
+        read = read_scan if channels[0].msgtype == SCAN else read_cloud
+        for block in reader.blocks():
+            tree.take(block, reader.channels.values())
+            for channel in channels:
+                for row in block.table[block.table["channel"] == channel.id]:
+                    data = block.data[row["offset"] : row["offset"] + row["length"]].tobytes()
+                    messages.append(read(data, channel.topic, channel.encoding))
+                    logs.append(int(row["log_ns"]))
+    return Lasers(messages, np.array(logs, dtype=np.int64), place, channels[0].topic, tree)
+
+
+def _choose(channels: list[Channel], topic: str | None, kinds: Sequence[str], place: str) -> list[Channel]:
+    lasers = [c for c in channels if c.msgtype in kinds]
+    names = " or ".join(kind.replace("/msg/", "/") for kind in kinds)
+    if topic is not None:
+        chosen = [c for c in lasers if c.topic.lstrip("/") == topic.lstrip("/")]
+        if not chosen:
+            found = ", ".join(sorted({c.topic for c in lasers})) or "none"
+            raise TopicError(f"{place}: no {names} on {topic} (found {found}); name another with --scan")
+        return chosen
+    for kind in kinds:
+        topics = sorted({c.topic for c in lasers if c.msgtype == kind})
+        if len(topics) > 1:
+            raise TopicError(f"{place}: several lasers: {', '.join(topics)}; name one with --scan")
+        if topics:
+            return [c for c in lasers if c.topic == topics[0]]
+    there = ", ".join(sorted({c.topic for c in channels})) or "no topic at all"
+    raise TopicError(f"{place}: no {names} topic (found {there}); record one")

@@ -11,16 +11,14 @@ every map, so the difference between two maps of one drive measures the effect o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.open import open_reader
-from odomcorrupt.errors import RecordingError, TopicError
+from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import increments, rotate
-from odomcorrupt.mapping.frames import FrameTree, Mount
-from odomcorrupt.mapping.messages import SCAN, ScanMessage, read_scan
+from odomcorrupt.mapping.messages import SCAN, ScanMessage, read_lasers
 from odomcorrupt.mapping.occupancy_grid import Canvas, canvas_for, draw_map
 from odomcorrupt.summary import Line, Summary
 
@@ -30,9 +28,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import Channel
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
+    from odomcorrupt.mapping.frames import Mount
     from odomcorrupt.mapping.occupancy_grid import Grid
     from odomcorrupt.trajectories import Drive
 
@@ -73,39 +71,14 @@ def read_rays(path: Path, topic: str | None, base_frame: str, mount: Mount | Non
     TopicError
         If there are no scans, several topics of them, or TF does not contain the laser's pose.
     """
-    scans: list[ScanMessage] = []
-    tree = FrameTree()
-    with open_reader(path) as reader:
-        channels = _choose(list(reader.channels.values()), topic, reader.name)
-        for block in reader.blocks():
-            tree.take(block, reader.channels.values())
-            for channel in channels:
-                for row in block.table[block.table["channel"] == channel.id]:
-                    data = block.data[row["offset"] : row["offset"] + row["length"]].tobytes()
-                    scans.append(read_scan(data, channel.topic, channel.encoding))
-        name = reader.name
+    found = read_lasers(path, topic, (SCAN,))
+    scans: list[ScanMessage] = found.messages  # type: ignore[assignment]  # of one type
     if not scans:
-        raise RecordingError(f"{name}: {channels[0].topic} holds no scan; name another topic with --scan")
+        raise RecordingError(f"{found.place}: {found.topic} holds no scan; name another topic with --scan")
     frame = scans[0].frame_id
     if mount is None:
-        mount = tree.mount(base_frame, frame, name)
+        mount = found.tree.mount(base_frame, frame, found.place)
     return _rays(scans, mount, frame)
-
-
-def _choose(channels: list[Channel], topic: str | None, bag: str) -> list[Channel]:
-    scans = [c for c in channels if c.msgtype == SCAN]
-    found = ", ".join(sorted({c.topic for c in scans})) or "none"
-    if topic is not None:
-        chosen = [c for c in scans if c.topic.lstrip("/") == topic.lstrip("/")]
-        if not chosen:
-            raise TopicError(f"{bag}: no sensor_msgs/LaserScan on {topic} (found {found}); name another with --scan")
-        return chosen
-    if not scans:
-        there = ", ".join(sorted({c.topic for c in channels})) or "no topic at all"
-        raise TopicError(f"{bag}: no sensor_msgs/LaserScan topic (found {there}); a map needs laser scans")
-    if len({c.topic for c in scans}) > 1:
-        raise TopicError(f"{bag}: topics of sensor_msgs/LaserScan: {found}; name one with --scan")
-    return scans
 
 
 def _rays(scans: list[ScanMessage], mount: Mount, frame: str) -> Rays:
@@ -277,7 +250,7 @@ def slow_rays(rays: Rays, drive: Drive, max_yaw_rate: float | None) -> Slow:
         kept = during & ~fast
     if not kept.any():
         raise RecordingError(f"scans: none of {len(rays)} rays can be used ({'; '.join(notes)})")
-    chosen = type(rays)(rays.stamps_ns[kept], rays.from_xy, rays.to_xy[kept], rays.scans, rays.frame_id)
+    chosen = replace(rays, stamps_ns=rays.stamps_ns[kept], to_xy=rays.to_xy[kept], notes=())
     return Slow(chosen, drive.distance_m[interval[kept]], tuple(notes))
 
 

@@ -244,12 +244,9 @@ def straight(seed=0, jitter_s=0.0, noise_m=1e-3):
         row=np.arange(count),
         t_s=at_s,
         xyt=xyt,
-        laser_xyt=xyt,
         covariance=np.tile(np.diag([noise_m, noise_m, 1e-4]) ** 2, (count, 1, 1)),
         part=np.zeros(count, dtype=np.int64),
         weak=np.zeros(count, dtype=bool),
-        ratio=np.ones(count),
-        deviation_m=0.01,
     )
     return path, motion
 
