@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, choice, parameter, stacked
+from odomcorrupt.effects.effect import (
+    About,
+    Effect,
+    Motion,
+    Recorded,
+    State,
+    TwistError,
+    choice,
+    gain,
+    parameter,
+    stacked,
+)
 from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, rims_of, scaled
 from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 
@@ -15,19 +26,11 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 
-def time_parameter() -> Any:
-    """Return the field of the time at which an event begins."""
-    return parameter(
-        "s", "when it begins, after the first odometry stamp", low=0.0, high=1e6, typical=5.0, identity=5.0,
-        amplitude=False,
-    )  # fmt: skip
-
-
-def duration_parameter(typical_s: float) -> Any:
-    """Return the field of the duration of an event, as a shape: another parameter is its amplitude."""
-    return parameter(
-        "s", "how long it lasts", low=0.01, high=1e4, typical=typical_s, identity=typical_s, amplitude=False
-    )
+_BEGINS: dict[str, Any] = {
+    "unit": "s", "meaning": "when it begins, after the first odometry stamp", "low": 0.0, "high": 1e6, "typical": 5.0,
+    "identity": 5.0, "amplitude": False,
+}  # fmt: skip
+_LASTS: dict[str, Any] = {"unit": "s", "meaning": "how long it lasts", "low": 0.01, "high": 1e4, "amplitude": False}
 
 
 def part_inside(motion: Motion, begin_s: float, end_s: float) -> Array:
@@ -75,8 +78,8 @@ class Push(Event):
     along: float = parameter("m", "how far it is pushed forwards", low=-10.0, high=10.0, typical=0.2)
     across: float = parameter("m", "how far it is pushed to the left", low=-10.0, high=10.0, typical=0.1)
     yaw: float = parameter("rad", "how far it is turned", low=-3.1, high=3.1, typical=0.1)
-    time: float = time_parameter()
-    duration: float = duration_parameter(0.5)
+    time: float = parameter(**_BEGINS)
+    duration: float = parameter(**_LASTS, typical=0.5, identity=0.5)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the push at constant speed."""
@@ -102,8 +105,8 @@ class SlipEvent(Event):
     )
 
     slip: float = parameter("", "part of the wheels' travel that is lost", low=0.0, high=0.8, typical=0.4)
-    time: float = time_parameter()
-    duration: float = duration_parameter(2.0)
+    time: float = parameter(**_BEGINS)
+    duration: float = parameter(**_LASTS, typical=2.0, identity=2.0)
     heading: str = heading_choice()
     side: str = choice("which wheels slip; a single one turns the robot and needs the track", "both", "left", "right")
 
@@ -140,7 +143,7 @@ class OdometryStop(Event):
     )
 
     duration: float = parameter("s", "how long it stands still", low=0.0, high=1e4, typical=2.0)
-    time: float = time_parameter()
+    time: float = parameter(**_BEGINS)
     then: str = choice("what becomes of the travel that was not reported", "lost", "caught_up")
 
     @property
@@ -188,7 +191,7 @@ class Latency(Event):
     )
 
     delay: float = parameter("s", "how long messages are delayed", low=0.0, high=60.0, typical=0.5)
-    time: float = time_parameter()
+    time: float = parameter(**_BEGINS)
 
     @property
     def window_s(self) -> tuple[float, float]:
@@ -198,9 +201,8 @@ class Latency(Event):
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f to first order: a time offset that shrinks."""
         shift = self.stamp_shift_s(motion.t_s)
-        twist = stacked(motion.v, motion.vy, motion.omega, motion.v)
         rate = np.where(shift > 0.0, _BURST - 1.0, 0.0)
-        return TwistError(shift[:, None] * motion.acceleration + rate[:, None] * twist, state)
+        return TwistError(shift[:, None] * motion.acceleration + rate[:, None] * motion.twist, state)
 
     def stamp_shift_s(self, t_s: Array) -> Array:
         """Return the delay of each stamp (n,), seconds."""
@@ -208,64 +210,39 @@ class Latency(Event):
         return np.where((t_s >= begin) & (t_s < end), (1.0 - _BURST) * (end - t_s), 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class TimeOffset(Effect):
-    """f = offset (a, ay, alpha); in a bag, every odometry stamp moves by the offset.
-
-    f is a first-order equivalent for the regression only; the stamp shift is exact.
-    """
-
-    name = "time_offset"
-    odd = True
-    kind = "setup"
-    summary = "the odometry's clock is ahead of the truth's by a constant"
-    clock = True
-    about = About(
+# f of the two clocks is a first-order equivalent for the regression only; their stamp shift in a bag is exact
+TimeOffset = gain(
+    "time_offset",
+    "the odometry's clock is ahead of the truth's by a constant",
+    lambda it, m: it.offset * m.acceleration.T,
+    About(
         equation="f = offset (a, ay, alpha)",
         typical="5 to 150 ms by USB, WiFi or motion capture",
         source="engineering judgement; no published figures known to us",
         confused_with=("accel_slip", "clock_skew", "backlash"),
         drive="start, stop and turn briskly",
-    )
+    ),
+    kind="setup",
+    odd=True,
+    clock=True,
+    stamp_shift_s=lambda it, t_s: np.full_like(t_s, it.offset),
+    offset=parameter("s", "odometry stamp minus true time", low=-5.0, high=5.0, typical=0.03),
+)
 
-    offset: float = parameter("s", "odometry stamp minus true time", low=-5.0, high=5.0, typical=0.03)
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f to first order: the twist a little later minus the present twist."""
-        return TwistError(self.offset * motion.acceleration, state)
-
-    def stamp_shift_s(self, t_s: Array) -> Array:
-        """Return the stamp shift (n,), seconds: the constant offset."""
-        return np.full_like(t_s, self.offset)
-
-
-@dataclass(frozen=True, slots=True)
-class ClockSkew(Effect):
-    """f = rate (t (a, ay, alpha) + (v, vy, omega)); in a bag, every odometry stamp moves by rate * t.
-
-    f is a first-order equivalent for the regression only; the stamp shift is exact.
-    """
-
-    name = "clock_skew"
-    odd = True
-    kind = "setup"
-    summary = "the odometry's clock runs fast or slow against the truth's"
-    clock = True
-    about = About(
+ClockSkew = gain(
+    "clock_skew",
+    "the odometry's clock runs fast or slow against the truth's",
+    lambda it, m: it.rate * (m.t_s * m.acceleration.T + m.twist.T),
+    About(
         equation="f = rate (t (a, ay, alpha) + (v, vy, omega))",
         typical="1e-6 to 1e-4 between unsynchronised computers",
         source="engineering judgement; no published figures known to us",
         confused_with=("time_offset", "wheel_scale"),
         drive="more than five minutes with starts and stops throughout",
-    )
-
-    rate: float = parameter("", "odometry clock rate over true rate, minus one", low=-0.1, high=0.1, typical=1e-4)
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f to first order: a time offset that grows, and speeds measured with a wrong unit of time."""
-        twist = stacked(motion.v, motion.vy, motion.omega, motion.v)
-        return TwistError(self.rate * (motion.t_s[:, None] * motion.acceleration + twist), state)
-
-    def stamp_shift_s(self, t_s: Array) -> Array:
-        """Return the stamp shift (n,), seconds, proportional to time."""
-        return self.rate * t_s
+    ),
+    kind="setup",
+    odd=True,
+    clock=True,
+    stamp_shift_s=lambda it, t_s: it.rate * t_s,
+    rate=parameter("", "odometry clock rate over true rate, minus one", low=-0.1, high=0.1, typical=1e-4),
+)

@@ -198,7 +198,7 @@ def read_grid(data: bytes, topic: str, encoding: str) -> GridMessage:
 
 
 class Lasers(NamedTuple):
-    """All messages of one laser, with the log time of each, ns; names of bag and topic, and the transforms of the bag."""
+    """All messages of one laser, with the log time of each, ns; names of bag and topic; the transforms of the bag."""
 
     messages: list[ScanMessage | CloudMessage]
     log_ns: NDArray[np.int64]
