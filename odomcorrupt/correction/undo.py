@@ -18,7 +18,7 @@ import numpy as np
 
 from odomcorrupt.corruption.path import JUMP_MIN_S, JUMP_SPEED
 from odomcorrupt.effects.compensation import corrected_increments, corrected_twist
-from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError
+from odomcorrupt.effects.effect import Effect, Kind, Motion
 from odomcorrupt.effects.random_processes import GyroBiasWalk
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.motion import is_rough, motion_of
@@ -152,10 +152,6 @@ class ClockInverse(Effect):
     def acts(self) -> bool:
         """Whether any clock effect acts."""
         return any(clock.acts for clock in self.clocks)
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f = 0: the effect moves stamps only."""
-        return TwistError(np.zeros((len(motion), 3)), state)
 
     def stamp_shift_s(self, t_s: Array) -> Array:
         """Return the shift (n,), seconds, for stamps that read t_s (n,) after the first one."""

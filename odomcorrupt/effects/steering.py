@@ -26,8 +26,6 @@ from odomcorrupt.effects.lags import lag_remainder
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from odomcorrupt.geometry.se2 import Array
 
 
@@ -244,15 +242,6 @@ class _Steering(NamedTuple):
         return abs(way) >= max(_ROLLS_MPS * time_s, _ONE_WAY * travel)
 
 
-class _Followed(NamedTuple):
-    """Where the car rolls (n,), there the angles (k,) of its wheels and of its odometry, rad/m, and the state after."""
-
-    rolls: NDArray[np.bool_]
-    wheels: Array
-    shown: Array
-    after: _Steering
-
-
 @dataclass(frozen=True, slots=True)
 class SteeringLag(Effect):
     """f = (0, 0, v tan(L delta) / L - omega): the wheels' angle L delta follows the odometry's with a first-order lag.
@@ -304,13 +293,6 @@ class SteeringLag(Effect):
         if self.tau < 0.0:  # the opposite of what the lag adds to a largest rate alone
             late, after = replace(self, tau=-self.tau).twist_error(motion, state)
             return TwistError(2.0 * replace(self, tau=0.0).twist_error(motion, state).f - late, after)
-        rolls, wheels, shown, after = self._followed(motion, state)
-        f = np.zeros(len(motion))
-        f[rolls] = motion.v[rolls] * (curvature_at(wheels, self.axles) - curvature_at(shown, self.axles))
-        return TwistError(stacked(0.0, 0.0, f, f), after)
-
-    def _followed(self, motion: Motion, state: _Steering) -> _Followed:
-        """Return the angles of the wheels and of the odometry wherever the car rolls."""
         rolls = (np.abs(motion.v) >= _ROLLS_MPS) & (motion.dt_s > 0.0)
         shown = steered(motion.omega[rolls] / motion.v[rolls], self.axles)
         time_s = np.concatenate(([-state.ago_s], np.cumsum(motion.dt_s)[rolls]))
@@ -322,8 +304,10 @@ class SteeringLag(Effect):
                 followed = ahead + lag_remainder(self.tau, ago_s) * (angle - ahead)
                 angle = _within(_within(followed, angle, self.rate * ago_s), ahead, self.stop)
             wheels[i] = angle
+        f = np.zeros(len(motion))
+        f[rolls] = motion.v[rolls] * (curvature_at(wheels, self.axles) - curvature_at(shown, self.axles))
         rest_s = float(motion.dt_s.sum() - time_s[-1])
-        return _Followed(rolls, wheels, shown, state._replace(angle=angle, ago_s=rest_s))
+        return TwistError(stacked(0.0, 0.0, f, f), state._replace(angle=angle, ago_s=rest_s))
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
         """Return the increments (n, 3) computed from the steering angle whose lagging wheels cause these."""

@@ -6,13 +6,13 @@ To add one, write a function that turns parameters into a changed `Robot` and en
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from odomcorrupt.errors import EffectError
-from odomcorrupt.simulation.robot import Bursts, Disc, Robot, Slippery, Strip, stream
+from odomcorrupt.simulation.robot import Bursts, Floor, Robot, Slippery, stream
 
 Parameters: TypeAlias = Mapping[str, float | str]
 Drawn: TypeAlias = dict[str, float | str]
@@ -111,12 +111,18 @@ def _on_floor(robot: Robot, **changes: Any) -> Robot:
     return replace(robot, floor=replace(robot.floor, **changes))
 
 
-def _slippery(robot: Robot, place: Disc | Strip, slip: float, *, by_wheel: bool) -> Robot:
-    return _on_floor(robot, slippery=(*robot.floor.slippery, Slippery(place, slip, by_wheel)))
+def _wet(half: str, share: float = 1.0, *, by_wheel: bool) -> Callable[[Robot, Mapping[str, Any]], Robot]:
+    """Return a function that adds a slippery place: a strip if the fault has a direction, else a round patch.
 
+    half, share : parameter of which its half width is this share
+    by_wheel : whether one wheel slips before the other at its edge and turns the robot
+    """
 
-def _wet(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    return _slippery(robot, Disc(p["x"], p["y"], p["radius"]), p["slip"], by_wheel=False)
+    def apply(robot: Robot, p: Mapping[str, Any]) -> Robot:
+        patch = Slippery(complex(p["x"], p["y"]), share * p[half], p["slip"], by_wheel, p.get("direction"))
+        return _on_floor(robot, slippery=(*robot.floor.slippery, patch))
+
+    return apply
 
 
 def on_path(path: np.ndarray, rng: np.random.Generator) -> Drawn:
@@ -159,13 +165,9 @@ def _adds(parameter: str, name: str) -> Callable[[Robot, Mapping[str, Any]], Rob
 
 
 def _sets(**parameters: str) -> Callable[[Robot, Mapping[str, Any]], Robot]:
-    """Return a function that sets fields of the machine to parameters of a fault: field=parameter."""
-    return lambda robot, p: replace(robot, **{name: p[parameter] for name, parameter in parameters.items()})
-
-
-def _sets_floor(**parameters: str) -> Callable[[Robot, Mapping[str, Any]], Robot]:
-    """Return a function that sets fields of the floor to parameters of a fault: field=parameter."""
-    return lambda robot, p: _on_floor(robot, **{name: p[parameter] for name, parameter in parameters.items()})
+    """Return a function that sets fields of the machine or its floor to parameters of a fault: field=parameter."""
+    change = _on_floor if parameters.keys() <= {field.name for field in fields(Floor)} else replace
+    return lambda robot, p: change(robot, **{name: p[parameter] for name, parameter in parameters.items()})
 
 
 CAUSES: dict[str, Cause] = {
@@ -185,7 +187,7 @@ CAUSES: dict[str, Cause] = {
     "side_slip": Cause(0.01, 0.05, positive("k"), _adds("k", "lateral_creep_s"), one_signed=True),
     "accel_slip": Cause(0.02, 0.06, positive("k"), _adds("k", "traction_s2_per_m"), one_signed=True),
     "speed_scale": Cause(0.008, 0.03, either_sign("k"), _adds("k", "growth_s_per_m")),
-    "region_slip": Cause(0.03, 0.1, positive("slip"), _wet, place=on_path),
+    "region_slip": Cause(0.03, 0.1, positive("slip"), _wet("radius", by_wheel=False), place=on_path),
     "slope": Cause(0.008, 0.03, with_angle("creep", "direction"), _tilt),
     "turn_asymmetry": Cause(0.008, 0.03, either_sign("k"), _adds("k", "lean"), shows_with=WHEELS),
     "scale_drift": Cause(1e-5, 4e-5, either_sign("rate"), _adds("rate", "warming_per_s")),
@@ -201,22 +203,13 @@ CAUSES: dict[str, Cause] = {
     ),
     "heavy_tails": Cause(
         0.2, 0.45, lambda magnitude, _: {"inverse_dof": min(magnitude, 0.7)},
-        _sets_floor(jolts_inverse_dof="inverse_dof"), one_signed=True,
+        _sets(jolts_inverse_dof="inverse_dof"), one_signed=True,
     ),
     "quantization": Cause(0.002, 0.01, positive("step"), _adds("step", "tick_travel_m"), one_signed=True),
     "lost_increments": Cause(0.005, 0.03, positive("fraction"), _adds("fraction", "lost_cycles"), one_signed=True),
     "time_offset": Cause(0.02, 0.1, either_sign("offset"), _adds("offset", "odom_clock_offset_s")),
     "clock_skew": Cause(5e-5, 3e-4, either_sign("rate"), _adds("rate", "odom_clock_rate")),
 }  # fmt: skip
-
-
-def _wet_patch(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    """Add a patch at whose edge one wheel slips before the other and turns the robot."""
-    return _slippery(robot, Disc(p["x"], p["y"], p["radius"]), p["slip"], by_wheel=True)
-
-
-def _wet_strip(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    return _slippery(robot, Strip(p["x"], p["y"], p["direction"], 0.5 * p["width"]), p["slip"], by_wheel=True)
 
 
 def _across(path: np.ndarray, rng: np.random.Generator) -> Drawn:
@@ -236,16 +229,16 @@ OUTSIDE: dict[str, Cause] = {
         shows_with=GYRO, depends_on="heading", one_signed=True,
     ),
     "floor_grain": Cause(
-        0.01, 0.03, with_angle("creep", "direction"), _sets_floor(grain="creep", grain_from_rad="direction"),
+        0.01, 0.03, with_angle("creep", "direction"), _sets(grain="creep", grain_from_rad="direction"),
         depends_on="heading", one_signed=True,
     ),
     "overspeed_slip": Cause(
         0.02, 0.06, lambda slip, rng: {"slip": slip, "speed": rng.uniform(0.5, 0.7)},
-        _sets_floor(grip_mps="speed", grip_slip="slip"), depends_on="speed",
+        _sets(grip_mps="speed", grip_slip="slip"), depends_on="speed",
     ),
     "braking_drag": Cause(
         0.05, 0.15, lambda slip, rng: {"slip": slip, "deceleration": rng.uniform(0.2, 0.4)},
-        _sets_floor(braking_mps2="deceleration", braking_slip="slip"), depends_on="acceleration",
+        _sets(braking_mps2="deceleration", braking_slip="slip"), depends_on="acceleration",
     ),
     "load_shift": Cause(
         0.0008, 0.003,
@@ -255,8 +248,12 @@ OUTSIDE: dict[str, Cause] = {
     "turn_scrub": Cause(
         0.02, 0.06, either_sign("k"), _sets(scrub_s="k"), shows_with=WHEELS, depends_on="yaw_rate"
     ),
-    "wet_patch": Cause(0.03, 0.1, positive("slip"), _wet_patch, place=on_path, depends_on="position"),
-    "wet_strip": Cause(0.03, 0.1, positive("slip"), _wet_strip, place=_across, depends_on="position"),
+    "wet_patch": Cause(
+        0.03, 0.1, positive("slip"), _wet("radius", by_wheel=True), place=on_path, depends_on="position"
+    ),
+    "wet_strip": Cause(
+        0.03, 0.1, positive("slip"), _wet("width", 0.5, by_wheel=True), place=_across, depends_on="position"
+    ),
 }  # fmt: skip
 EVERY = {**CAUSES, **OUTSIDE}
 """All causes, those of the effects library and those outside it."""

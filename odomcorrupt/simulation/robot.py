@@ -12,41 +12,24 @@ from scipy.signal import lfilter
 
 
 @dataclass(frozen=True, slots=True)
-class Disc:
-    """A round patch, m."""
-
-    x_m: float
-    y_m: float
-    radius_m: float
-
-    def holds(self, place: complex) -> bool:
-        """Return whether a point (x + iy, m) is inside."""
-        return abs(place - complex(self.x_m, self.y_m)) < self.radius_m
-
-
-@dataclass(frozen=True, slots=True)
-class Strip:
-    """An infinite strip of width 2 `half_m`, whose centre line has direction `direction_rad` through (x, y)."""
-
-    x_m: float
-    y_m: float
-    direction_rad: float
-    half_m: float
-
-    def holds(self, place: complex) -> bool:
-        """Return whether a point (x + iy, m) is inside."""
-        along = (place - complex(self.x_m, self.y_m)) * np.exp(-1j * self.direction_rad)
-        return bool(abs(along.imag) < self.half_m)
-
-
-@dataclass(frozen=True, slots=True)
 class Slippery:
-    """A place where the fraction `slip` of the travel is lost, by each wheel inside or by the whole axle."""
+    """A place where the fraction `slip` of the travel is lost: a round patch, or a strip without end."""
 
-    place: Disc | Strip
+    middle: complex
+    """A point x + iy on the centre line, m."""
+    half_m: float
+    """Radius, or half the width."""
     slip: float
     by_wheel: bool
     """Whether each wheel slips by its own position; otherwise both slip by that of the axle's middle."""
+    strip_rad: float | None = None
+    """Direction of a strip; None for a round patch."""
+
+    def holds(self, place: complex) -> bool:
+        """Return whether a point (x + iy, m) is inside."""
+        away = place - self.middle
+        across = away if self.strip_rad is None else (away * np.exp(-1j * self.strip_rad)).imag
+        return bool(abs(across) < self.half_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -436,8 +419,8 @@ def lose_by_place(
         keep_right = keep_left = 1.0
         for patch in slippery:
             arm = 0.5j * robot.track_m * facing * patch.by_wheel
-            keep_right *= 1.0 - patch.slip * patch.place.holds(place - arm)
-            keep_left *= 1.0 - patch.slip * patch.place.holds(place + arm)
+            keep_right *= 1.0 - patch.slip * patch.holds(place - arm)
+            keep_left *= 1.0 - patch.slip * patch.holds(place + arm)
         keeps.append((keep_right, keep_left))
         right_m, left_m = keep_right * right_m, keep_left * left_m  # noqa: PLW2901 - the same travel, less the slip
         turn_rad = (right_m - left_m) / robot.track_m
