@@ -152,7 +152,7 @@ def test_covariances_are_those_of_the_noise_along_the_corrected_path():
     effects = (usual("unequal_wheels"), usual("wheelbase"))
     wrong = clean + NoisyPath(model(*effects), 1).feed(stamps_ns, clean).error_xyt
     samples = corrected_samples(model(*effects, noise=noise), stamps_ns, wrong, first_ns=int(stamps_ns[0]))
-    ends = np.array([NoisyPath(model(noise=noise), seed).feed(stamps_ns, clean).error_xyt[-1] for seed in range(600)])
+    ends = np.array([NoisyPath(model(noise=noise), seed).feed(stamps_ns, clean).error_xyt[-1] for seed in range(250)])
     corrected = (wrong + samples.error_xyt)[-1:, :2] - samples.origin_xy
     forecast = pose_covariance(samples.sums[:, -1:], corrected.T)[0]
     np.testing.assert_allclose(np.diag(forecast), ends.var(axis=0), rtol=0.25)

@@ -1,7 +1,6 @@
 """Matching, moving objects, the map, its strain, and the trajectory with its noise."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from odomcorrupt.geometry.se2 import between, compose, inverse
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.laser.calibrate import calibrate
 from odomcorrupt.laser.icp import WEAK, lines_of, match, surface_of
-from odomcorrupt.laser.mapping import laser_brief, laser_maps, laser_text
 from odomcorrupt.laser.moving import without_moving
 from odomcorrupt.laser.scans import Deskewing, Motion, Sweep, Sweeps, even_stamps, read_sweeps
 from odomcorrupt.laser.slam import Edges, optimise
@@ -31,7 +29,6 @@ from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.truth_bias import MAP_STRAIN, SHARED, bias_roots
 from odomcorrupt.study.io import Source
-from odomcorrupt.study.io.laser_truth import laser_run
 from odomcorrupt.study.io.reader import read_odometry, read_runs
 from odomcorrupt.study.io.recording import Recording
 
@@ -191,14 +188,9 @@ def test_a_strained_map_has_the_residuals_of_its_column(column, strain):
     assert problem.intervals.residual == pytest.approx(own, abs=0.02 * np.abs(own).max())
 
 
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory):
-    """Return a bag of odometry and scans in a room."""
-    return raycaster.drive(tmp_path_factory.mktemp("laser") / "run.mcap", stated=(0.1, 0.0, 0.0), rate_hz=2.0)
-
-
 @pytest.mark.slow
-def test_maps_by_the_laser_are_those_of_the_command_line(bag, tmp_path, capsys):
+def test_maps_by_the_laser_are_those_of_the_command_line(tmp_path, capsys):
+    bag = raycaster.drive(tmp_path / "run.mcap", stated=(0.1, 0.0, 0.0), rate_hz=2.0)
     words = ["map", str(bag), "--method", "laser", "--seed", "2", "-o", str(tmp_path / "b.yaml"), "--json"]
     assert run(words) == 0
     values = json.loads(capsys.readouterr().out)
@@ -215,18 +207,6 @@ def test_maps_by_the_laser_are_those_of_the_command_line(bag, tmp_path, capsys):
     assert done.method == "laser"
     assert len(done.trajectory) == len((tmp_path / "a.tum").read_text().splitlines())
     assert done.summary().headline == f"MATCHED {done.matched.placed}"
-
-
-def test_a_part_that_the_map_does_not_cover_is_stated(bag):
-    whole = laser_run(bag, "run", None, None)
-    cut = replace(whole, path=replace(whole.path, part=(whole.path.t_s > 22.0).astype(np.int64)))
-    drawn = laser_maps(cut, np.zeros((len(whole.odometry), 3)), 0.2)
-    assert drawn.parts.startswith("2 parts that no scan connects: the map covers 0-22 s only")
-    assert drawn.placed.startswith(f"{np.count_nonzero(whole.path.t_s <= 22.0)} of ")
-    assert [line.label for line in laser_brief(drawn).lines[:3]] == ["MATCHED", "parts", "walls"]
-    assert drawn.parts in laser_text(drawn).splitlines()
-    # the odometry without noise makes the map of the odometry
-    np.testing.assert_array_equal(drawn.maps[1].grid.cells, drawn.maps[2].grid.cells)
 
 
 def straight(seed=0, jitter_s=0.0, noise_m=1e-3):

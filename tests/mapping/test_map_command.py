@@ -69,17 +69,13 @@ def test_turtlebot_recorded_as_sqlite_is_mapped(tmp_path):
     assert (read_map(tmp_path / "olin_clean.yaml").cells == OCCUPIED).sum() > 300
 
 
-def test_zero_noise_makes_the_same_map(tmp_path):
-    out = tmp_path / "m.png"
-    assert run(["map", str(OFFICE), "-o", str(out), "--alpha", "0", "0", "0", "0", "--seed", "1"]) == 0
-    assert (tmp_path / "m_clean.pgm").read_bytes() == (tmp_path / "m_noisy.pgm").read_bytes()
-
-
-def test_a_name_with_a_dot_is_that_of_both_maps(tmp_path):
-    assert run(["map", str(OFFICE), "-o", str(tmp_path / "m.v2.png"), "--seed", "1", "--resolution", "0.2"]) == 0
+def test_zero_noise_makes_the_same_map_and_a_name_with_a_dot_is_that_of_both(tmp_path):
+    options = ["--alpha", "0", "0", "0", "0", "--seed", "1", "--resolution", "0.2"]
+    assert run(["map", str(OFFICE), "-o", str(tmp_path / "m.v2.png"), *options]) == 0
     names = sorted(p.name for p in tmp_path.iterdir())
     assert names == ["m.v2.png", "m.v2_clean.pgm", "m.v2_clean.yaml", "m.v2_noisy.pgm", "m.v2_noisy.yaml"]
     assert read_map(tmp_path / "m.v2_noisy.yaml").resolution_m == 0.2
+    assert (tmp_path / "m.v2_clean.pgm").read_bytes() == (tmp_path / "m.v2_noisy.pgm").read_bytes()
 
 
 def test_laser_pose_replaces_tf():

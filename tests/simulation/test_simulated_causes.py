@@ -62,7 +62,7 @@ def test_rotation_centre_behind_swings_the_base_as_a_lever_arm_would():
 
 def test_gyro_bias_walks_with_the_root_of_time_even_at_rest():
     ends = []
-    for seed in range(60):
+    for seed in range(40):
         run = silent("gyro_bias_walk", {"density": 1e-3}, (REST,), seed=seed, duration_s=20.0)
         rate = np.diff(np.unwrap(run.odom_xyt[:, 2])) / np.diff(run.odom_stamps_ns) * 1e9
         ends.append(rate[-1])
@@ -108,7 +108,7 @@ def test_gear_play_is_lost_at_each_reversal():
 
 def test_bursts_take_their_mean_part_of_the_way_and_sometimes_turn_the_robot():
     parts, turns = [], []
-    for seed in range(60):
+    for seed in range(40):
         run = silent("slip_burst", {"rate": 0.2, "slip": 0.5, "duration": 0.3}, STRAIGHT, seed=seed)
         odom, truth = both(run)
         parts.append(1 - way_m(truth) / way_m(odom))
@@ -120,7 +120,7 @@ def test_bursts_take_their_mean_part_of_the_way_and_sometimes_turn_the_robot():
 @pytest.mark.parametrize(("channel", "route"), [("along", STRAIGHT), ("yaw", SPIN_LEFT)])
 def test_gain_wanders_with_its_deviation_in_its_channel_only(channel, route):
     gains = []
-    for seed in range(60):
+    for seed in range(40):
         run = silent("gauss_markov", {"sigma": 0.03, "tau": 20.0, "channel": channel}, route, seed=seed)
         odom, truth = (xyt[600:625] for xyt in both(run))
         column = 0 if channel == "along" else 2
@@ -131,7 +131,7 @@ def test_gain_wanders_with_its_deviation_in_its_channel_only(channel, route):
 
 def test_the_difference_of_the_wheels_wanders_by_the_way_driven_and_not_at_rest():
     bends = []
-    for seed in range(60):
+    for seed in range(40):
         run = silent("gauss_markov", {"sigma": 0.03, "tau": 20.0, "channel": "wheels"}, STRAIGHT, seed=seed)
         odom, truth = (xyt[600:625] for xyt in both(run))
         bends.append((truth[-1, 2] - truth[0, 2] - odom[-1, 2] + odom[0, 2]) / way_m(odom))
@@ -309,7 +309,7 @@ def test_hidden_draws_all_kinds_and_what_shows():
     assert any(h.causes and h.causes[0] in OUTSIDE for h in drawn)
     assert 0.35 < np.mean([h.yaw_from == "gyro" for h in drawn]) < 0.65
     assert all(h.yaw_from == "gyro" for h in map(draw_causes, range(20), ["gyro"] * 20))
-    for h in drawn[:100]:
+    for h in drawn[:30]:
         simulate(1, h.causes, yaw_from=h.yaw_from, duration_s=6.0)
 
 
