@@ -66,8 +66,8 @@ class Quantization(Effect):
     step: float = parameter("m", "wheel travel of one tick", low=0.0, high=0.1, typical=0.0005)
 
     def start(self, rng: Generator) -> State:
-        """Return the travel of each wheel, metres: a random phase between two ticks."""
-        return Rims(*(self.step * copied(rng).uniform(size=2)).tolist())
+        """Return the travel of each wheel, right and left, metres: a random phase between two ticks."""
+        return tuple((self.step * copied(rng).uniform(size=2)).tolist())
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - at any time
         """Return increments of whole ticks; the sideways travel of holonomic robots is unchanged."""
@@ -81,7 +81,7 @@ class Quantization(Effect):
             counted.append(self.step * np.diff(np.floor(so_far / self.step)))
         reported = body_of(Rims(*counted), track)
         reported[:, 1] = steps[:, 1]
-        return Recorded(reported, Rims(*ends))
+        return Recorded(reported, tuple(ends))
 
     def moments(self, motion: Motion) -> Moments:
         """Return zero mean, and the variance of a tick count with uniformly random phase."""

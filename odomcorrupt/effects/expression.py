@@ -494,8 +494,10 @@ def _class_of(name: str, text: str, facts: tuple[tuple[str, str, float, float], 
     expression = parse_expression(text, tuple(key for key, *_ in facts))
     fields: list[tuple[str, type, Any]] = []
     for key, unit, identity, typical in facts:
-        size = {"low": -LARGEST, "high": LARGEST, "typical": typical, "identity": identity}
-        field = parameter(unit, "of the expression", **size, amplitude=key in expression.linear)
+        linear = key in expression.linear
+        field = parameter(
+            unit, "of the expression", low=-LARGEST, high=LARGEST, typical=typical, identity=identity, amplitude=linear
+        )
         fields.append((key, float, field))
     if expression.by_wheel:
         fields.append(("heading", str, heading_choice()))

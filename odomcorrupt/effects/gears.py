@@ -271,7 +271,7 @@ class FlatSpot(Effect):
     odd = True
     layer = "record"
     needs_track = True
-    initial = Rims(0.0, 0.0)  # travel so far as reported, m
+    initial = 0.0, 0.0  # travel of the rims so far as reported, right and left, m
     summary = "a wheel is flat on one side or out of round: it advances less once a turn"
     about = About(
         equation="f_wheel = -depth u where the wheel rolls over its flat side, once a turn, less its mean",
@@ -316,13 +316,13 @@ class FlatSpot(Effect):
             lost = Rims(self._lost(rims.right, ways[0]), zero)
         else:
             lost = Rims(zero, self._lost(rims.left, ways[1]))
-        return TwistError(body_of(lost, track_m), Rims(*(float(way[-1]) for way in ways)))
+        return TwistError(body_of(lost, track_m), tuple(float(way[-1]) for way in ways))
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - at any time
         """Return the increments (n, 3) that, less the loss of the spot, equal the given ones."""
         track_m = needed_track_m(self, track_m)
         rims = rims_of(steps[:, 0], steps[:, 2], track_m)
-        true, way = (rims.right, state.right) if self.wheel == "right" else (rims.left, state.left)
+        true, way = (rims.right, state[0]) if self.wheel == "right" else (rims.left, state[1])
         more = np.zeros(len(true))
         for i, gone in enumerate(true.tolist()):
             reported = gone
@@ -334,7 +334,7 @@ class FlatSpot(Effect):
             way += reported
         zero = np.zeros(len(true))
         both = Rims(more, zero) if self.wheel == "right" else Rims(zero, more)
-        turned = Rims(way, 0.0) if self.wheel == "right" else Rims(0.0, way)
+        turned = (way, 0.0) if self.wheel == "right" else (0.0, way)
         return Recorded(steps + body_of(both, track_m) if self.depth else steps, turned)
 
     def _lost(self, u: Array, way: Array) -> Array:
