@@ -15,7 +15,7 @@ import numpy as np
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, wrap
 from odomcorrupt.geometry.trajectory import distance_along
-from odomcorrupt.laser.icp import SURE_OVERLAP, best_guess, lines_of, match, surface_of, thinned
+from odomcorrupt.laser.icp import LEAST_RETURNS, SURE_OVERLAP, best_guess, lines_of, match, surface_of, thinned
 from odomcorrupt.laser.scans import Deskewing, Motion
 
 if TYPE_CHECKING:
@@ -223,14 +223,15 @@ def _turning_time(now: Calibration, plain: _Pairs, stated_s: float) -> float:
         return 0.0
     sweeps = now.sweeps
     period = stated_s if sweeps.by_scan_time else min(sweeps.period_s, 0.2)
-    best = known = _misfit(plain)
+    best = known = float(np.mean(plain.deviation_m))
     turn_s = 0.0
     for candidate in (-stated_s,) if stated_s and not sweeps.by_scan_time else (period, -period):
         # a stated scan_time needs no more evidence than simultaneous beams do
         share = 1.0 if candidate == stated_s else _BETTER
         pairs = _matched(replace(now, turn_s=candidate))
-        if len(pairs.pose) >= _FEWER * len(plain.pose) and _misfit(pairs) < min(best, share * known):
-            best, turn_s = _misfit(pairs), candidate
+        misfit = float(np.mean(pairs.deviation_m)) if len(pairs.pose) >= _FEWER * len(plain.pose) else np.inf
+        if misfit < min(best, share * known):
+            best, turn_s = misfit, candidate
     return turn_s
 
 
@@ -240,11 +241,6 @@ def _astray(pairs: _Pairs, motion: Motion) -> float:
         return np.inf
     miss = between(between(motion.laser(pairs.first_s), motion.laser(pairs.second_s)), pairs.pose)
     return float(np.median(np.hypot(miss[:, 0], miss[:, 1]) + _APART_M / _APART_RAD * np.abs(wrap(miss[:, 2]))))
-
-
-def _misfit(pairs: _Pairs) -> float:
-    """Return the mean deviation of returns from surfaces over pairs, m."""
-    return float(np.mean(pairs.deviation_m))
 
 
 def _matched(now: Calibration, *, free: bool = False) -> _Pairs:
@@ -260,7 +256,7 @@ def _matched(now: Calibration, *, free: bool = False) -> _Pairs:
     for a, b in chosen:
         one, other = scans[a], scans[b]
         lines = lines_of(one)
-        if len(lines.feet) < 20 or len(other) < 20:
+        if len(lines.feet) < LEAST_RETURNS or len(other) < LEAST_RETURNS:
             continue
         surface = surface_of(*lines)
         guess = between(poses[a], poses[b])

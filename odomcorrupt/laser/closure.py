@@ -9,7 +9,7 @@ import numpy as np
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
 from odomcorrupt.laser.calibrate import calibrate
-from odomcorrupt.laser.icp import SURE_OVERLAP, WEAK, best_guess, lines_of, match, surface_of, thinned
+from odomcorrupt.laser.icp import COARSE, SURE_OVERLAP, WEAK, best_guess, lines_of, match, surface_of, thinned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _SWEEPS = 5
 _REACH_M, _STEP_M = 0.6, 0.2
 _STEP_RAD = np.radians(5.0)
-_COARSE, _MOST = 60, 360
+_MOST = 360
 _NEAR_M, _NEAR_RAD = 0.02, 0.02
 """Largest distance (m) and angle (rad) of a match from the median of the drive's matches; others are wrong."""
 
@@ -48,19 +48,19 @@ def end_by_scans(sweeps: Sweeps, odometry: Trajectory) -> End:
     calibration = calibrate(sweeps, odometry, int(odometry.stamps_ns[0]))
     sweeps, motion, scans = calibration.sweeps, calibration.motion, calibration.deskewing()
     t_s = sweeps.middle_s(motion.origin_ns)
-    full = np.array([k for k in range(len(sweeps)) if len(sweeps.sweeps[k]) >= _COARSE])
+    full = np.array([k for k in range(len(sweeps)) if len(sweeps.sweeps[k]) >= COARSE])
     if len(full) < 2 * _SWEEPS:
         raise RecordingError(
-            f"{sweeps.place}: {len(full)} sweeps with {_COARSE} returns; too few to estimate the end pose"
+            f"{sweeps.place}: {len(full)} sweeps with {COARSE} returns; too few to estimate the end pose"
         )
     first = int(full[0])
     surface = surface_of(*lines_of(scans[first]))
-    if len(surface.points) < _COARSE:
+    if len(surface.points) < COARSE:
         raise RecordingError(f"{sweeps.place}: its first sweep contains no walls; begin the drive near walls")
     found, overlaps = [], []
     for last in full[-_SWEEPS:].tolist():
         scan = scans[last]
-        guess = best_guess(thinned(scan, _COARSE), surface, _everywhere(), within_m=2.0 * _STEP_M)
+        guess = best_guess(thinned(scan, COARSE), surface, _everywhere(), within_m=2.0 * _STEP_M)
         matched = match(thinned(scan, _MOST), surface, guess)
         if matched is None or matched.overlap < SURE_OVERLAP or matched.ratio < WEAK:
             continue
@@ -107,11 +107,11 @@ def lifted(run: LaserRun, before: int, after: int) -> Lift | None:
         if first < 0 or last >= len(t_s):
             return None
         scan, surface = scans[last], surface_of(*lines_of(scans[first]))
-        if len(scan) < _COARSE or len(surface.points) < _COARSE:
+        if len(scan) < COARSE or len(surface.points) < COARSE:
             return None
         laser, robot = (at(t_s[[first, last]]) for at in (motion.laser, motion.robot))
         own = between(laser[0], laser[1])
-        guess = best_guess(thinned(scan, _COARSE), surface, own + guesses, within_m=2.0 * _STEP_M)
+        guess = best_guess(thinned(scan, COARSE), surface, own + guesses, within_m=2.0 * _STEP_M)
         matched = match(thinned(scan, _MOST), surface, guess)
         if matched is None or matched.overlap < SURE_OVERLAP:
             return None

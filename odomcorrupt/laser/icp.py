@@ -19,12 +19,14 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 
-LEAST_PAIRS = 20
+LEAST_RETURNS = 20
 """Minimum number of returns matched to a surface for a pose."""
 OVERLAP, SURE_OVERLAP = 0.35, 0.6
 """Least overlap of a match near the odometry's guess, and of one that is searched for or that sweeps are judged by."""
 WEAK = 0.15
 """Ratio of the smaller to the larger eigenvalue of the position's information below which the weak axis is unknown."""
+COARSE = 60
+"""Number of returns with which the nearest of many guesses is found, and least number to begin from."""
 _GATES_M = (0.5, 0.3, 0.2, 0.15)
 _MOST_STEPS = 15
 _STEP_M, _STEP_RAD = 5e-4, 1e-4
@@ -77,7 +79,7 @@ def match(returns: Array, surface: Surface, guess: Array, gates_m: Sequence[floa
 
     gates_m : largest distance between a return and its surface point at each iteration; the last one is kept
     """
-    if len(surface.points) < LEAST_PAIRS or len(returns) < LEAST_PAIRS:
+    if len(surface.points) < LEAST_RETURNS or len(returns) < LEAST_RETURNS:
         return None
     pose = np.array(guess, dtype=np.float64)
     for step in range(_MOST_STEPS):
@@ -86,7 +88,7 @@ def match(returns: Array, surface: Surface, guess: Array, gates_m: Sequence[floa
         lever = returns @ np.array([[c, s], [-s, c]])
         distance, index = surface.tree.query(lever + pose[:2], distance_upper_bound=gate)
         paired = np.flatnonzero(np.isfinite(distance))
-        if len(paired) < LEAST_PAIRS:
+        if len(paired) < LEAST_RETURNS:
             return None
         lever, index = lever[paired], index[paired]
         normal = surface.normals[index]

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.geometry.se2 import rotate
+from odomcorrupt.geometry.se2 import between, compose
 from odomcorrupt.geometry.trajectory import Trajectory, distance_along
-from odomcorrupt.mapping.frames import Mount
+from odomcorrupt.mapping.frames import mount_at
 from odomcorrupt.mapping.scan_map import Rays, scan_maps
 from odomcorrupt.summary import Line, Summary
 
@@ -80,7 +80,7 @@ def laser_maps(whole: LaserRun, error_xyt: Array, resolution_m: float) -> LaserM
     )
     rays = replace(rays, stamps_ns=rays.stamps_ns[inside], to_xy=rays.to_xy[inside])
     paths = {
-        "corrected by the laser": _moved(trajectory, trajectory.xyt[0], begin),
+        "corrected by the laser": replace(trajectory, xyt=compose(begin, between(trajectory.xyt[0], trajectory.xyt))),
         "odometry": odometry,
         "noisy odometry": noisy,
     }
@@ -120,13 +120,6 @@ def tum_text(trajectory: Trajectory) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _moved(trajectory: Trajectory, here: Array, there: Array) -> Trajectory:
-    """Return a trajectory moved rigidly so that the pose `here` (3,) becomes `there` (3,)."""
-    turn = there[2] - here[2]
-    xy = there[:2] + rotate(trajectory.xyt[:, :2] - here[:2], np.full(len(trajectory), turn))
-    return Trajectory(trajectory.stamps_ns, np.column_stack((xy, trajectory.xyt[:, 2] + turn)))
-
-
 def _rays(run: LaserRun) -> Rays:
     """Return the returns of all sweeps with a pose, in the robot's frame and on the odometry's clock."""
     motion, sweeps = run.calibration.motion, run.sweeps
@@ -134,14 +127,11 @@ def _rays(run: LaserRun) -> Rays:
     total = sum(len(s) for s in placed)
     thin = max(1, total // _MOST_RAYS)
     lag_ns = round(motion.lag_s * 1e9)
-    angle = float(motion.mount[2])
-    plane = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    if run.calibration.mirrored:
-        plane = plane @ np.diag([1.0, -1.0])
-    mount = Mount(motion.mount[:2], plane)
+    mount = mount_at(motion.mount)
+    plane = mount.plane @ np.diag([1.0, -1.0 if run.calibration.mirrored else 1.0])
     stamps, ends = [], []
     for sweep in placed:
         after = np.round(sweep.after_s[::thin].astype(np.float64) * 1e9).astype(np.int64)
         stamps.append(sweep.stamp_ns + lag_ns + after)
-        ends.append(mount.position_xy + sweep.xy[::thin].astype(np.float64) @ mount.plane.T)
+        ends.append(mount.position_xy + sweep.xy[::thin].astype(np.float64) @ plane.T)
     return Rays(np.concatenate(stamps), mount.position_xy, np.concatenate(ends), len(placed), sweeps.frame_id)

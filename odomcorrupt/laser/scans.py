@@ -9,6 +9,7 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.se2 import between, compose
+from odomcorrupt.laser.icp import LEAST_RETURNS
 from odomcorrupt.mapping.messages import CLOUD, SCAN, ScanMessage, read_lasers
 
 if TYPE_CHECKING:
@@ -268,7 +269,6 @@ _EDGE = 0.995
 """Fraction of the maximum range above which a range means no return: drivers write the maximum or just below it."""
 _COMMON = 0.03
 _LEAST_SWEEPS = 20
-_LEAST_RETURNS = 20
 _BODY_M, _BODY_SPREAD_M, _BODY_SHARE = 1.0, 0.01, 0.9
 
 
@@ -307,10 +307,10 @@ def read_sweeps(path: Path, place: str, topic: str | None, base_frame: str) -> S
         notes.append(f"{name}: TF does not contain the pose of {frame!r} on the robot; estimated from the motion")
     sweeps, view, more = _sweeps(rows, name)
     usual = float(np.median([len(s) for s in sweeps]))
-    if usual < _LEAST_RETURNS:
+    if usual < LEAST_RETURNS:
         raise RecordingError(
             f"{where}: {usual:.0f} returns in a typical sweep ({'; '.join(more) or 'the others have no return'}); scan "
-            f"matching needs {_LEAST_RETURNS} or more that are not the robot itself: name another topic with --scan"
+            f"matching needs {LEAST_RETURNS} or more that are not the robot itself: name another topic with --scan"
         )
     logs = np.array([log for _, log in rows], dtype=np.int64)
     first = rows[0][0]

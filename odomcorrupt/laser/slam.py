@@ -15,7 +15,18 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from odomcorrupt.geometry.se2 import between, compose, rotate, wrap
-from odomcorrupt.laser.icp import OVERLAP, SURE_OVERLAP, WEAK, Surface, best_guess, lines_of, match, surface_of, thinned
+from odomcorrupt.laser.icp import (
+    COARSE,
+    OVERLAP,
+    SURE_OVERLAP,
+    WEAK,
+    Surface,
+    best_guess,
+    lines_of,
+    match,
+    surface_of,
+    thinned,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -95,8 +106,7 @@ NEIGHBOURS = 8
 _NEAR_M = 3.0
 _LOCAL = 6
 _LOOP_OVERLAP = 0.55
-_QUERY, _COARSE = 240, 60
-"""Numbers of returns with which a pose is refined, and with which the nearest of many guesses is found."""
+_QUERY = 240
 _REACH_M, _REACH_RAD = 0.5, 0.1
 _STEPS = np.stack(np.meshgrid(*(np.array([-1.0, 0.0, 1.0]),) * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 _HELD = 0.3
@@ -219,7 +229,7 @@ class KeyframeMap:
         scan = self.scans[k]
         guess = between(self.poses[i], self.poses[k])
         if wide:
-            if len(surface.points) < _COARSE:
+            if len(surface.points) < COARSE:
                 return None
             guess = nearest_pose(scan, surface, guess)
         found = match(thinned(scan, _QUERY), surface, guess)
@@ -278,7 +288,7 @@ class KeyframeMap:
 
 def nearest_pose(scan: Array, surface: Surface, guess: Array) -> Array:
     """Return the pose (3,) within 0.5 m and 0.1 rad of a guess at which a scan is nearest to a surface."""
-    return best_guess(thinned(scan, _COARSE), surface, guess + _STEPS * (_REACH_M, _REACH_M, _REACH_RAD))
+    return best_guess(thinned(scan, COARSE), surface, guess + _STEPS * (_REACH_M, _REACH_M, _REACH_RAD))
 
 
 def edge_information(found: Match) -> Array:
@@ -302,7 +312,7 @@ _AWAY_M, _AWAY_RAD = 0.25, 0.2
 _AWAY_SHARE = 0.2
 _NEW_M, _LEAST_M = 0.5, 0.1
 _LOST = 3
-_LEAST_RETURNS = 40
+_KEYFRAME_RETURNS = 40
 _FAST_MPS, _FAST_RADPS = 5.0, 6.0
 _GATES_M = (0.4, 0.25, 0.15)
 
@@ -358,7 +368,7 @@ class _Tracker:
         """Place sweep `n` in the map."""
         scan = self._scans[n]
         if self._current < 0:
-            if len(scan) >= _LEAST_RETURNS:
+            if len(scan) >= _KEYFRAME_RETURNS:
                 self._enter(n, self.world.add(scan, self._dead[n]))
             return
         step = self._step(n)
@@ -366,7 +376,7 @@ class _Tracker:
         matched = self._matched(scan, guess, step)
         if matched is None:
             self._lost += 1
-            if self._lost > _LOST and len(scan) >= _LEAST_RETURNS:
+            if self._lost > _LOST and len(scan) >= _KEYFRAME_RETURNS:
                 self._begin(n, scan, guess)
             return
         self._lost = 0

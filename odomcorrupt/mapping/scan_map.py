@@ -159,35 +159,21 @@ def _covariances(points_xy: Array, cell_m: float) -> tuple[Array, Array, Array]:
     shape = int(row.max()) + 2, int(column.max()) + 2
     flat = row * shape[1] + column
     half = round(0.5 * WINDOW_M / cell_m)
+    top, bottom = np.minimum(row + half + 1, shape[0]), np.maximum(row - half, 0)
+    right, left = np.minimum(column + half + 1, shape[1]), np.maximum(column - half, 0)
+
+    def sums(weights: Array | None) -> Array:
+        """Return the sums of weights (n,), or of ones, over each window, from cumulative sums over the cells."""
+        cells = np.bincount(flat, weights, minlength=shape[0] * shape[1]).reshape(shape)
+        table = np.zeros((shape[0] + 1, shape[1] + 1))
+        np.cumsum(np.cumsum(cells, axis=0), axis=1, out=table[1:, 1:])
+        return table[top, right] - table[bottom, right] - table[top, left] + table[bottom, left]
+
     x, y = centred.T
-    window = _Windows(row, column, shape, half)
-    count, sx, sy, sxx, sxy, syy = (window.sums(flat, w) for w in (None, x, y, x * x, x * y, y * y))
+    count, sx, sy, sxx, sxy, syy = (sums(w) for w in (None, x, y, x * x, x * y, y * y))
     n = np.where(count >= MIN_NEIGHBOURS, count, np.nan)
     xx, xy, yy = (s / n - (a / n) * (b / n) for s, a, b in ((sxx, sx, sx), (sxy, sx, sy), (syy, sy, sy)))
     return xx, xy, yy
-
-
-class _Windows:
-    """Sums over the square window around each point, by cumulative sums over cells in both directions."""
-
-    def __init__(self, row: NDArray[np.int64], column: NDArray[np.int64], shape: tuple[int, int], half: int) -> None:
-        self._shape = shape
-        self._top = np.minimum(row + half + 1, shape[0])
-        self._bottom = np.maximum(row - half, 0)
-        self._right = np.minimum(column + half + 1, shape[1])
-        self._left = np.maximum(column - half, 0)
-
-    def sums(self, flat: NDArray[np.int64], weights: Array | None) -> Array:
-        """Return the sums (n,) of weights (n,), or of ones."""
-        cells = np.bincount(flat, weights, minlength=self._shape[0] * self._shape[1]).reshape(self._shape)
-        table = np.zeros((self._shape[0] + 1, self._shape[1] + 1))
-        np.cumsum(np.cumsum(cells, axis=0), axis=1, out=table[1:, 1:])
-        return (
-            table[self._top, self._right]
-            - table[self._bottom, self._right]
-            - table[self._top, self._left]
-            + table[self._bottom, self._left]
-        )
 
 
 @dataclass(frozen=True, slots=True)

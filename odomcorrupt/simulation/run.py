@@ -28,7 +28,7 @@ from odomcorrupt.simulation.routes import ROUTES, Commands, Segment, follow, obe
 from odomcorrupt.simulation.sensors import TRACKERS, Odometry, Rig, Track, Tracker, dock, reckon, watch
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
 
 EPOCH_NS = 1_750_000_000_000_000_000
@@ -272,18 +272,13 @@ def _fill(message: Any, typename: str, stamps_ns: np.ndarray, numbers: np.ndarra
     """
     one = bytes(STORE.serialize_cdr(message, typename))
     rows = np.tile(np.frombuffer(one, dtype=np.uint8), (len(stamps_ns), 1))
-    for mark, width, values in _marked(stamps_ns, numbers):
-        at = one.index(mark)
-        rows[:, at : at + width] = np.ascontiguousarray(values).view(np.uint8).reshape(-1, width)
-    return rows
-
-
-def _marked(stamps_ns: np.ndarray, numbers: np.ndarray) -> Iterator[tuple[bytes, int, np.ndarray]]:
     sec, nanosec = np.divmod(stamps_ns, 1_000_000_000)
-    yield pack("<i", _MARK_SEC), 4, sec.astype("<i4")
-    yield pack("<I", _MARK_NANOSEC), 4, nanosec.astype("<u4")
-    for mark, column in zip(_MARKS, numbers.T, strict=False):
-        yield pack("<d", mark), 8, column.astype("<f8")
+    columns = [(pack("<i", _MARK_SEC), sec.astype("<i4")), (pack("<I", _MARK_NANOSEC), nanosec.astype("<u4"))]
+    columns += [(pack("<d", mark), column.astype("<f8")) for mark, column in zip(_MARKS, numbers.T, strict=False)]
+    for mark, values in columns:
+        at = one.index(mark)
+        rows[:, at : at + len(mark)] = np.ascontiguousarray(values).view(np.uint8).reshape(-1, len(mark))
+    return rows
 
 
 def _new(kind: str, **fields: Any) -> Any:
