@@ -57,7 +57,9 @@ def corrected_stretches(
     frame_xyt = None if start_xyt is None else compose(start_xyt, inverse(first.xyt[0]))
     first_ns = int(first.stamps_ns[0])
     return [
-        stretch and corrected_samples(model, stretch.stamps_ns, stretch.xyt, first_ns=first_ns, frame_xyt=frame_xyt)
+        None
+        if stretch is None
+        else corrected_samples(model, stretch.stamps_ns, stretch.xyt, first_ns=first_ns, frame_xyt=frame_xyt)
         for stretch in stretches
     ]
 

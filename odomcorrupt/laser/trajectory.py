@@ -111,7 +111,7 @@ def relocalised(
     row = np.array(rows, dtype=np.int64)
     xyt = compose(np.array(poses).reshape(-1, 3), inverse(motion.mount))
     xyt[:, 2] = np.unwrap(xyt[:, 2])
-    covariance = np.array(covariances).reshape(-1, 3, 3)
+    covariance = np.array(covariances, dtype=np.float64).reshape(-1, 3, 3)
     return LaserPath(
         row, tracked.t_s[row], xyt, covariance, np.array(parts, dtype=np.int64), np.array(weak, dtype=bool)
     )

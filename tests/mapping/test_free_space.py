@@ -66,8 +66,8 @@ def test_poses_are_given_in_the_odom_frame():
 def test_rejection_samples_the_motion_given_that_it_is_free(check):
     """The same distribution as drawing very many and keeping the free ones."""
     within = Constraint(free_space(room(WALL), 0.2), check)
-    ours = move_sampled_in_map(AHEAD, NOISE, 8_000, np.random.default_rng(1), within).xyt
-    many = move_sampled(AHEAD, NOISE, 32_000, np.random.default_rng(2))
+    ours = move_sampled_in_map(AHEAD, NOISE, 20_000, np.random.default_rng(1), within).xyt
+    many = move_sampled(AHEAD, NOISE, 80_000, np.random.default_rng(2))
     kept = many[within.allows(np.zeros((len(many), 2)), many[:, :2])]
     for column in range(3):
         np.testing.assert_allclose(
