@@ -23,7 +23,6 @@ from odomcorrupt.corruption.summary import (
 )
 from odomcorrupt.corruption.transform import Transform
 from odomcorrupt.errors import BagError, EffectError
-from odomcorrupt.forecasting.forecast import read_stretches
 from odomcorrupt.geometry.se2 import compose, inverse
 from odomcorrupt.geometry.trajectory import evened
 from odomcorrupt.summary import Line, Summary, command_line
@@ -39,29 +38,44 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.run import Container, Outcome
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.forecasting.forecast import CleanDrive
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel, Noise
 
 
-def corrected_stretches(
-    stretches: Sequence[CleanDrive | None], model: MotionModel, start_xyt: Array | None = None
-) -> list[PathSamples | None]:
-    """Return each stretch of the measured odometry corrected; None for one without measurements.
+class MeasuredPath:
+    """Collects the measured odometry; a reset of time begins a new stretch."""
 
-    start_xyt : (3,) first pose in the frame of position-dependent effects; None: as the odometry states it
-    """
-    first = next((stretch for stretch in stretches if stretch is not None), None)
-    if first is None:
-        return [None for _ in stretches]
-    frame_xyt = None if start_xyt is None else compose(start_xyt, inverse(first.xyt[0]))
-    first_ns = int(first.stamps_ns[0])
-    return [
-        None
-        if stretch is None
-        else corrected_samples(model, stretch.stamps_ns, stretch.xyt, first_ns=first_ns, frame_xyt=frame_xyt)
-        for stretch in stretches
-    ]
+    def __init__(self) -> None:
+        self._parts: list[list[PathSamples]] = [[]]
+
+    def restart(self) -> None:
+        """Begin a new stretch."""
+        self._parts.append([])
+
+    def add(self, samples: PathSamples) -> None:
+        """Append the next part of the path."""
+        if len(samples):
+            self._parts[-1].append(samples)
+
+    def corrected(self, model: MotionModel, start_xyt: Array | None = None) -> list[PathSamples | None]:
+        """Return each stretch corrected; None for one without measurements.
+
+        start_xyt : (3,) first pose in the frame of position-dependent effects; None: as the odometry states it
+        """
+        stretches: list[PathSamples | None] = []
+        frame_xyt: Array | None = None
+        first_ns: int | None = None
+        for parts in self._parts:
+            if not parts:
+                stretches.append(None)
+                continue
+            stamps_ns = np.concatenate([samples.stamps_ns for samples in parts])
+            first_ns = int(stamps_ns[0]) if first_ns is None else first_ns
+            xyt = np.concatenate([samples.clean_xyt for samples in parts])
+            if start_xyt is not None and frame_xyt is None:
+                frame_xyt = compose(start_xyt, inverse(xyt[0]))
+            stretches.append(corrected_samples(model, stamps_ns, xyt, first_ns=first_ns, frame_xyt=frame_xyt))
+        return stretches
 
 
 class CorrectedPath:
@@ -228,8 +242,7 @@ def correct_bag(
             source, target, model.identity, seed=0, run=0, options=options, container=container, watch=watch
         )
         return Corrected(model=model, effects=effects, unplaced=(), run=copied)
-    with open_reader(source, recover=container.recover) as reader:
-        path = CorrectedPath(corrected_stretches(read_stretches(reader, model, options), model, start_xyt))
+    path = CorrectedPath(_measured(source, model, options, container).corrected(model, start_xyt))
     clocks = tuple(effect for effect in effects.undone if effect.clock)
     still = tuple(effect for effect in effects.undone if not effect.clock)
     moving = replace(model, effects=(*still, ClockInverse(clocks)))
@@ -248,6 +261,16 @@ def correct_bag(
     # learned models either have a start pose or were declared not to need one
     unplaced = tuple(e for e in still if start_xyt is None and e.reads_places and e not in model.placed)
     return Corrected(model=model, effects=effects, unplaced=unplaced, run=outcome)
+
+
+def _measured(source: Path, model: MotionModel, options: Options, container: Container) -> MeasuredPath:
+    """Read the odometry, in the order of the second pass."""
+    transform, measured = Transform(model.identity, 0, 0, options), MeasuredPath()
+    transform.watchers.append(measured)
+    with open_reader(source, recover=container.recover) as reader:
+        for _ in transform.blocks(reader, reader.name):
+            pass
+    return measured
 
 
 _WHY_NOT = {

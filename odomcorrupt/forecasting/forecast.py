@@ -29,12 +29,11 @@ DRAWN_POINTS, DRAWN_RUNS = 600, 100
 
 @dataclass(frozen=True, slots=True)
 class CleanDrive:
-    """A stretch of a bag's odometry: its name, stamps_ns (n,), xyt (n, 3) in metres and radians, and length, m."""
+    """Longest stretch of a bag's odometry: its name, stamps_ns (n,), xyt (n, 3) in metres and radians."""
 
     name: str
     stamps_ns: NDArray[np.int64]
     xyt: Array
-    travelled_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,55 +75,37 @@ class Forecast:
     noisy_xy: Array
 
 
-class Stretches:
-    """Parts of the clean path of each stretch of an odometry: a reset of time begins a new stretch."""
-
+class _Stretches:
     def __init__(self) -> None:
         self.parts: list[list[PathSamples]] = [[]]
 
     def restart(self) -> None:
-        """Begin a new stretch."""
         self.parts.append([])
 
     def add(self, samples: PathSamples) -> None:
-        """Append the next part of the path."""
         self.parts[-1].append(samples)
-
-
-def read_stretches(
-    reader: BagReader, model: MotionModel, options: Options, watch: Callable[[Block], None] = lambda _: None
-) -> list[CleanDrive | None]:
-    """Return each stretch of the clean path of a bag's odometry source, None for one without measurements.
-
-    watch : called with every block
-    """
-    transform, stretches = Transform(model.identity, 0, 0, options), Stretches()
-    transform.watchers.append(stretches)
-    for block in transform.blocks(reader, reader.name):
-        watch(block)
-    name = transform.odometry.name
-    whole = [[part for part in parts if len(part)] for parts in stretches.parts]
-    return [
-        CleanDrive(
-            name, np.concatenate([s.stamps_ns for s in parts]), np.concatenate([s.clean_xyt for s in parts]),
-            float(parts[-1].travelled_m[-1]),
-        ) if parts else None
-        for parts in whole
-    ]  # fmt: skip
 
 
 def read_clean_drive(
     reader: BagReader, model: MotionModel, options: Options, watch: Callable[[Block], None] = lambda _: None
 ) -> CleanDrive:
-    """Return the longest stretch of the clean path of a bag's odometry source, see `read_stretches`.
+    """Return the clean path of a bag's odometry source; `watch` is called with every block.
 
     Raises
     ------
     TopicError
         If there is no odometry source.
     """
-    stretches = [stretch for stretch in read_stretches(reader, model, options, watch) if stretch is not None]
-    return max(stretches, key=lambda stretch: stretch.travelled_m)
+    transform, stretches = Transform(model.identity, 0, 0, options), _Stretches()
+    transform.watchers.append(stretches)
+    for block in transform.blocks(reader, reader.name):
+        watch(block)
+    longest = max((parts for parts in stretches.parts if parts), key=lambda parts: float(parts[-1].travelled_m[-1]))
+    return CleanDrive(
+        transform.odometry.name,
+        np.concatenate([samples.stamps_ns for samples in longest]),
+        np.concatenate([samples.clean_xyt for samples in longest]),
+    )
 
 
 def clean_drive_of(source: Path, model: MotionModel, options: Options, *, recover: bool) -> CleanDrive:
