@@ -8,7 +8,6 @@ from odomcorrupt.study.estimate.whitener import (
     quasi_differences,
     rho_of,
     truth_pieces,
-    truth_weights,
     unseen_piece,
 )
 
@@ -17,7 +16,9 @@ def dense_covariance(intervals, q, truth):
     """Return the residuals' covariance as a dense matrix (3 K, 3 K)."""
     diagonal, below = (part.copy() for part in unseen_piece(intervals))
     for weight, piece in zip(
-        (1.0, *truth_weights(truth)), (odometry_piece(intervals, q), *truth_pieces(intervals)), strict=True
+        (1.0, truth.xy_m**2, truth.yaw_rad**2, truth.random_walk**2),
+        (odometry_piece(intervals, q), *truth_pieces(intervals)),
+        strict=True,
     ):
         diagonal += weight * piece[0]
         below += weight * piece[1]

@@ -51,6 +51,7 @@ def test_beside_a_truth_of_positions_the_clock_is_estimated_without_the_bends_of
     assert found.ranges_s[0][0] < -LATE_S < found.ranges_s[0][1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 def test_a_right_model_is_rejected_for_an_error_of_the_clock_only_if_the_clock_is_known_better(right, held, known):
     error_s, off_s = 0.0005 if known else 0.004, 0.006

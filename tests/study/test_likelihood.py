@@ -48,6 +48,16 @@ def test_banded_likelihood_equals_the_dense_normal(law):
     assert banded == pytest.approx(dense, abs=1e-8 * abs(dense))
 
 
+@pytest.mark.parametrize("law", [name for name, law in LAWS.items() if law.fitted])
+def test_polarised_pieces_are_the_law(law):
+    problem = short_problem()
+    k = np.array([0.05, 0.02, 0.07, 0.03, 0.004, 0.01, 0.02, 0.03])
+    pieces = VarianceComponents(LAWS[law], problem.intervals, problem.steps, gyro_noise=True)
+    total = np.tensordot(pieces.shares(k), np.array(pieces.parts()), axes=1)
+    direct = problem.intervals.covariance(LAWS[law], Coefficients(*k[:7], rot_time=k[7]), problem.steps)
+    np.testing.assert_allclose(total, direct, rtol=1e-10, atol=1e-18)
+
+
 def test_a_gap_in_the_truth_breaks_the_chain_and_nothing_else():
     whole = drive(1, 60.0, PLANTED)
     truth = whole.truth

@@ -26,7 +26,7 @@ def fitted():
     return fit([run], approach=choose_approach([run]))
 
 
-def basis_terms(fitted, every=101):
+def basis_terms(fitted, every=303):
     """Return some of the basis functions on everything that they act on."""
     motions = fitted.problem.motions
     pairs = [

@@ -47,16 +47,16 @@ def left(seconds):
     return Increments(along, np.zeros(len(along)), along)
 
 
-def localised(error_of, *, seed=3, seconds=300.0, noise=QUIET, drive=wander, yaw_rate=0.0):
+def localised(error_of, *, seed=3, seconds=300.0, noise=QUIET, drive=wander, yaw_rate=0.0, every=EVERY):
     """Return a drive whose truth has errors (n, 3) on the map, given by its way (n,) and its places (n, 2).
 
     yaw_rate : rate (n,) in rad/s of turning that the odometry does not see
     """
     steps = wander(seed, seconds) if drive is wander else drive(seconds)
     run = recording(steps, noisy_path(steps, noise, seed), seed=seed)
-    true = accumulate(np.zeros(3), replace(steps, dtheta_rad=steps.dtheta_rad + yaw_rate / 50.0))[::EVERY]
-    error = error_of(np.random.default_rng(seed), way_of(steps)[::EVERY], true[:, :2])
-    return replace(run, truth=Trajectory(run.odometry.stamps_ns[::EVERY], true + error), localised=True)
+    true = accumulate(np.zeros(3), replace(steps, dtheta_rad=steps.dtheta_rad + yaw_rate / 50.0))[::every]
+    error = error_of(np.random.default_rng(seed), way_of(steps)[::every], true[:, :2])
+    return replace(run, truth=Trajectory(run.odometry.stamps_ns[::every], true + error), localised=True)
 
 
 def way_of(steps):
@@ -77,8 +77,8 @@ def alike_over(length_m):
 
 
 def fading(rng, way, _places):
-    """Return errors that are alike for 3 s."""
-    return correlated(rng, np.full(len(way) - 1, np.exp(-0.5 / 3.0)), [0.02, 0.02, 0.009])
+    """Return errors that are alike for 3 s, of corrections every 0.4 s."""
+    return correlated(rng, np.full(len(way) - 1, np.exp(-0.4 / 3.0)), [0.02, 0.02, 0.009])
 
 
 def by_place(rng, way, places):
@@ -259,7 +259,7 @@ STEADY = Coefficients(0.0015, 0.0015, 0.001, 0.0005)
 
 
 def test_the_truths_own_errors_are_no_noise_of_the_odometry():
-    run = localised(fading, noise=STEADY, seconds=420.0)
+    run = localised(fading, every=20, noise=STEADY, seconds=420.0)
     fitted = fit([run], approach=choose_approach([run]))
     assert fitted.noise.truth.yaw_rad == pytest.approx(0.009, rel=0.4)
     assert fitted.noise.coefficients.rot_rot < 0.006
@@ -267,7 +267,7 @@ def test_the_truths_own_errors_are_no_noise_of_the_odometry():
 
 @pytest.mark.slow
 def test_a_small_bias_of_the_gyro_is_found_beside_a_localisation():
-    learned = learn([localised(fading, noise=STEADY, seconds=420.0, yaw_rate=0.001)])
+    learned = learn([localised(fading, every=20, noise=STEADY, seconds=420.0, yaw_rate=0.001)])
     (bias,) = (effect.bias for effect in learned.fit.effects if effect.name == "gyro_bias")
     assert bias == pytest.approx(-0.001, rel=0.2)
 

@@ -59,7 +59,7 @@ def rims(rows, left, right):
     return np.column_stack(((one + other) / 2.0, 0.0 * one, (other - one) / 0.2))
 
 
-FACTORS = (0.01, 0.1, 0.303, 2.5, 10.0, 57.3, 100.0)
+FACTORS = (0.01, 0.303, 2.5, 57.3)
 
 
 @pytest.mark.parametrize("headed", [True, False])
@@ -85,7 +85,7 @@ SIGNS = {
 
 
 @pytest.mark.parametrize("name", SIGNS)
-@pytest.mark.parametrize("factor", [1.0, 0.1, 10.0])
+@pytest.mark.parametrize("factor", [1.0, 0.1])
 def test_signs_are_undone_and_factors_beside_them_found(name, factor):
     rows = driven()
     found = first_look(Look((trajectory(rows * SIGNS[name] * factor), real(rows))))
@@ -126,7 +126,7 @@ def test_encoders_without_direction_are_refused():
         first_look(Look((trajectory(rims(rows, np.abs, np.abs)), real(rows))))
 
 
-@pytest.mark.parametrize("bits", [8, 12, 16])
+@pytest.mark.parametrize("bits", [8, 16])
 def test_overflows_are_counted_and_taken_out(bits):
     rows, tick = driven(), 0.4 / 2**bits
 
@@ -192,7 +192,7 @@ def test_a_unit_of_the_truth(metre):
     assert not first_look(Look((found.odometry, found.truth))).mistakes
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("headed", [True, False])
 @pytest.mark.parametrize("how", [{}, {"reverse": False}, {"left_only": True}], ids=["hand", "ahead", "left"])
 def test_nothing_is_claimed_of_small_errors(seed, headed, how):
