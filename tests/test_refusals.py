@@ -45,6 +45,7 @@ REFUSED = {
     },
     f"batch {OFFICE} runs --runs 2 --tf correction {NOISE}": "--tf correction and --new-odom-frame FRAME go together",
     f"batch {OFFICE} runs --runs 2 --keep-truth /t --output overlay {NOISE}": "--keep-truth: adds messages",
+    f"batch {OFFICE} runs --runs 2 --exclude-topic /none {NOISE}": "--exclude-topic /none: the input has no such topic",
     "spread . -o out.txt": "ends in .txt; write .png, .svg or .pdf",
     "simulate out.mcap --effect hidden --effect wheel_scale": "--effect hidden: cannot be combined",
     "simulate out.mcap --effect none --effect wheel_scale": "--effect none: cannot be combined",

@@ -379,13 +379,15 @@ def run_on_dask(job_runs: Sequence[tuple[Job, Sequence[int]]], address: str, aud
 
 
 def require_odometry(jobs: Sequence[Job]) -> None:
-    """Raise an error at once where all runs would fail: no odometry, or an invalid model."""
+    """Raise an error at once where all runs would fail: no odometry or topic to leave out, or an invalid model."""
     for job in jobs:
         with open_reader(job.source, recover=job.batch.container.recover) as reader:
             transform = Transform(job.model_of(0), job.batch.seed, 0, job.batch.options)
             transform.odometry.prepare(reader, reader.name)
             if job.batch.options.consistent:
                 transform.relations(reader)
+            if job.batch.output == "full":
+                job.batch.container.target(job.path_of(0), reader)
 
 
 @dataclass(frozen=True, slots=True)

@@ -171,22 +171,13 @@ _SUFFIXES: Mapping[Format, str] = {"bag": ".bag", "mcap": ".mcap", "db3": ".db3"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchSpec:
-    """Configuration of a batch.
+    """Configuration of a batch; the fields not named here are options of `odomcorrupt.api.batch.BatchOptions`.
 
-    model : model of all runs
-    seed : seed of all draws
-    model_file : file of the model, whose parameters "a +- b" are drawn for each run
-    posterior : whether all parameters with a standard error are drawn
-    sweeps : such as "alpha-scale=0.5,1,2"
-    points : number of Sobol points in the ranges of the sweeps
+    model, seed : model of all runs, and seed of all draws
+    posterior : whether all parameters with a standard error are drawn, not only those that the file states as "a +- b"
     options, container : options of corruption, and of reading and writing
-    output : whole bags, changed topics only, or paths
     split : whether changed messages are written in chunks of their own
     condition : map to which every run is constrained
-    to : format of whole bags; None: that of the input
-    also : odometry topics of other robots, with drifts of their own
-    model_words : command-line arguments for the model of a single run; None: the directory's model.toml
-    map_words : command-line arguments for the map
     """
 
     model: MotionModel

@@ -123,17 +123,7 @@ def write_as_it_was(
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """Options for reading and writing bags.
-
-    overwrite : replace an existing output
-    compression, level : of the output, None for those of the input
-    recover : read the intact parts of a damaged input
-    ros : generation of ROS of the output's messages, where its format leaves a choice
-    storage : "mcap" or "sqlite3", of an output that is a directory
-    exclude : topics left out, or edges of TF, "TOPIC:PARENT.CHILD"
-    rename : "OLD=NEW" for topics that get another name
-    threads : number of threads; None: one per core, at most four
-    """
+    """Options for reading and writing bags, as `odomcorrupt.api.bag_options.BagOptions` describes them."""
 
     overwrite: bool = False
     compression: str | None = None

@@ -158,19 +158,7 @@ _NAMED = 6
 
 
 class Options(NamedTuple):
-    """Options of the corruption.
-
-    odom_topic : topic of the odometry source; None to find it
-    odom_frame, base_frame : frames, where the odometry's own are not those of TF
-    keep_twist, keep_covariance : leave twists or covariances unchanged
-    keep_truth : topic for a copy of the clean odometry
-    keep_localisation : move the edges between odom and what lies above it, so that map -> base stays true
-    new_odom_frame : change no message, and publish the correction as the TF edge from this frame to odom
-    subtracted : publish noisy minus clean there instead, component by component, as the article's listing does
-    consistent : rewrite wheels, twists and gyros to the noisy motion, too
-    scan_noise, scan_keep : noise of the ranges of laser scans, metres, and part of their beams that is kept
-    imu : noise of IMUs
-    """
+    """Options of the corruption, as `odomcorrupt.api.bag_options.BagOptions` describes them; `imu` has been read."""
 
     odom_topic: str | None = None
     odom_frame: str | None = None
