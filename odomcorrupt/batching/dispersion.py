@@ -120,8 +120,7 @@ def measure(directory: Path) -> SpreadReport:
 def _quiet(model: MotionModel, clean: TumPath) -> PathSamples:
     """Return the path with the effects but zero noise, and the sums of the noise's variances along it."""
     # the same path with zero in place of every random number
-    path = NoisyPath(model, 0, 0, normals=_Quiet())
-    return path.feed(clean.stamps_ns, clean.xyt)
+    return NoisyPath(model, 0, 0, normals=_Quiet()).feed(clean.stamps_ns, clean.xyt)
 
 
 def _covariance(model: MotionModel, spreads: tuple[Spread, ...], clean: TumPath, centre: PathSamples) -> Array:
@@ -142,9 +141,8 @@ def _displaced(model: MotionModel, spread: Spread, clean: TumPath, centre: PathS
     """Return the displacement (n, 3) of the path by one standard deviation of a parameter."""
     for part in (1.0, -1.0, 0.1, -0.1):
         effects: list[Any] = list(model.effects)
-        i = spread.effect or 0
-        value = getattr(effects[i], spread.parameter) + part * spread.deviation
-        effects[i] = replace(effects[i], **{spread.parameter: value})
+        i, name = spread.effect or 0, spread.parameter
+        effects[i] = replace(effects[i], **{name: getattr(effects[i], name) + part * spread.deviation})
         try:
             moved = _quiet(replace(model, effects=tuple(effects)), clean)
         except EffectError:
@@ -160,6 +158,6 @@ def _path(
     if "robot" in record:
         model = read_model(directory / record["robot"])
         shared = SystematicEffects(model)
-    source = NoisyPath(model, seed, record["run"], covariance=False, systematic=shared)
-    samples = source.feed(clean.stamps_ns, clean.xyt)
+    path = NoisyPath(model, seed, record["run"], covariance=False, systematic=shared)
+    samples = path.feed(clean.stamps_ns, clean.xyt)
     return samples.clean_xyt[:, :2] + samples.error_xyt[:, :2]

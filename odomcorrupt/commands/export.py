@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._options import FILE, OUTPUT, TRACK, Number, setting, usage_errors, valued
+from odomcorrupt.commands._options import FILE, OUTPUT, TRACK, Decorator, Number, setting, usage_errors, valued
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options
 from odomcorrupt.errors import ModelError
 
@@ -19,6 +19,13 @@ if TYPE_CHECKING:
 _EVERY = "nothing would let amcl update at every scan"
 
 
+def _number(
+    word: str, unit: str, metavar: str, default: float, text: str, *, high: float = 1e3, **bounds: Any
+) -> Decorator:
+    """Return an option that takes a number of zero or more."""
+    return valued(word, kind=Number(unit, 0.0, high, **bounds), default=default, metavar=metavar, text=text)
+
+
 @click.command("export", short_help="Print a model as parameters of ros2_control, nav2 or robot_localization.")
 @click.argument("model", type=FILE)
 @click.option(
@@ -28,41 +35,15 @@ _EVERY = "nothing would let amcl update at every scan"
 @setting(
     "--track", "track_m", type=TRACK, metavar="M", help="Nominal distance between the wheels. [default: the model's]"
 )
-@valued(
-    "--update-min-d",
-    kind=Number("metres", 0.0, 1e3, above=True, else_=_EVERY),
-    default=0.25,
-    metavar="M",
-    text="amcl's update distance.",
-)
-@valued(
-    "--update-min-a",
-    kind=Number("radians", 0.0, 1e3, above=True, else_=_EVERY),
-    default=0.2,
-    metavar="RAD",
-    text="amcl's update angle.",
-)
+@_number("--update-min-d", "metres", "M", 0.25, "amcl's update distance.", above=True, else_=_EVERY)
+@_number("--update-min-a", "radians", "RAD", 0.2, "amcl's update angle.", above=True, else_=_EVERY)
 @valued(
     "--turn", among=["rolling", "spot"],
     text="Turn on which amcl's noise is matched to the model's: along an arc, or on the spot.",
 )  # fmt: skip
-@valued(
-    "--speed", kind=Number("m/s", 0.0, 1e3), default=0.5, metavar="M/S", text="Speed at which the noise is evaluated."
-)
-@valued(
-    "--turn-rate",
-    kind=Number("rad/s", 0.0, 1e3),
-    default=0.5,
-    metavar="RAD/S",
-    text="Turn rate at which the noise is evaluated.",
-)
-@valued(
-    "--rate",
-    kind=Number("messages per second", 0.0, 1e6, above=True),
-    default=50.0,
-    metavar="HZ",
-    text="Rate of odometry messages.",
-)
+@_number("--speed", "m/s", "M/S", 0.5, "Speed at which the noise is evaluated.")
+@_number("--turn-rate", "rad/s", "RAD/S", 0.5, "Turn rate at which the noise is evaluated.")
+@_number("--rate", "messages per second", "HZ", 50.0, "Rate of odometry messages.", above=True, high=1e6)
 @valued("--controller", kind=str, default="diff_drive_controller", metavar="NAME", text="Name of the node in the YAML.")
 @click.option("-o", "--output", type=OUTPUT, help="Write the YAML to a file.")
 @overwrite_option()

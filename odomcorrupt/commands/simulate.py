@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from math import isfinite, nan, radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -13,10 +13,6 @@ from odomcorrupt.commands._options import FILE, Number, setting, usage_errors, v
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, overwrite_option, standard_options
 from odomcorrupt.errors import EffectError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
 
 _ALONE = {
     "hidden": "cannot be combined with another fault, whose presence would then be known",
@@ -26,16 +22,8 @@ _LARGEST = 100.0
 """Largest factor on the usual size of a fault at which the robot can still be driven."""
 
 
-def _faults(effects: Sequence[str]) -> tuple[list[str], dict[str, dict[str, float | str]]]:
-    """Return the names of the requested faults (none: drawn at random), and their parameters as far as given."""
-    for word, why in _ALONE.items():
-        if word in effects and len(effects) > 1:
-            raise click.UsageError(f"--effect {word}: {why}")
-    parsed = [_parse(text) for text in effects if text != "hidden"]
-    return [name for name, _ in parsed], {name: values for name, values in parsed if name != "none"}
-
-
 def _parse(text: str) -> tuple[str, dict[str, float | str]]:
+    """Return the name of a requested fault, and its parameters as far as given."""
     name, _, rest = text.partition(":")
     values: dict[str, float | str] = {}
     for part in rest.split(",") if rest else ():
@@ -118,9 +106,14 @@ def command(
     piped = target == "-"
     if piped and given["answer"] is None:
         raise click.UsageError("a bag on a pipe needs a name for its answer; give --answer FILE")
-    names, parameters = _faults(effects)
+    for word, why in _ALONE.items():
+        if word in effects and len(effects) > 1:
+            raise click.UsageError(f"--effect {word}: {why}")
+    faults = [_parse(text) for text in effects if text != "hidden"]
+    asked: dict[str, Any] = {"effects": [name for name, _ in faults], "size": _size(size)}
+    asked["parameters"] = {name: values for name, values in faults if name != "none"}
     with usage_errors(EffectError, "--effect "), Stages("simulation", quiet=console.quiet):
-        done = simulate(None if piped else target, effects=names, parameters=parameters, size=_size(size), **given)
+        done = simulate(None if piped else target, **asked, **given)
     if piped:
         sys.stdout.buffer.write(done.bag)
         console.note(f"wrote stdout: {done.settings['duration_s']:g} s; its faults are listed in {done.answer_path}")

@@ -1,7 +1,5 @@
 """Values, texts, pictures and bags of the Python interface are those of the command line."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The Python interface: instant to import, complete, and the same numbers as the command line."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import json

@@ -1,7 +1,5 @@
 """What commands print by default: at most eight lines of eighty columns, the verdict first, a command last."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Presets: listed with law, numbers and source; printed as model files."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Options that every command has, and defaults from a file."""
 
-from __future__ import annotations
-
 import io
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A real browser for tests: headless Chromium spoken to over a pipe, at any width, by day or night."""
 
-from __future__ import annotations
-
 import base64
 import fcntl
 import json

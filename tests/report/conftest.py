@@ -1,7 +1,5 @@
 """A simulated robot, two of its drives and two models of it: what the tests of reports compare."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """`odomcorrupt compare` prints, draws, judges, and never overwrites."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """The interactive part of a report: its data agree with the recordings, and a real browser works it."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

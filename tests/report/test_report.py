@@ -1,7 +1,5 @@
 """The HTML report, and numbers in text and JSON."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

@@ -1,7 +1,5 @@
 """Sentences of a summary and its JSON."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

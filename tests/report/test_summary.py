@@ -1,7 +1,5 @@
 """Summaries fit: at most eight lines of the width, the verdict first, the command last and whole."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import pytest
