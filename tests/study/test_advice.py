@@ -264,10 +264,6 @@ def test_a_twin_of_the_set_up_comes_with_the_words_that_accept_it(monkeypatch):
     assert hint.endswith("removes it only as icr_shift: give `correct` --effect icr_shift:x=0.0735")
 
 
-def test_twins_that_are_both_the_robots_need_no_such_words(monkeypatch):
-    assert "mends it" not in twin_hint("wheelbase", {"e": 0.01}, monkeypatch)
-
-
 class Loose(registry()["wheel_scale"]):
     """An effect of single wheels that brings no track of its own."""
 

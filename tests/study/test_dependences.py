@@ -23,7 +23,6 @@ from odomcorrupt.study.estimate.regressors import driving_motion
 from odomcorrupt.study.estimate.robust_errors import between_blocks, inflation, shared_variance, with_robust_errors
 from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.terms.basis import basis_functions
-from odomcorrupt.study.terms.basis.motion import functions_of_motion
 from odomcorrupt.study.terms.channels import Action, every_action, views
 from odomcorrupt.study.terms.term import BasisTerm
 
@@ -313,18 +312,6 @@ def test_estimates_that_blocks_disagree_on_have_larger_errors():
         told.append(float(inflation(variance, dof, shared_variance(variance, dof))[0]))
     assert told[0] == pytest.approx(1.0, abs=0.3)
     assert told[1] == pytest.approx(31.0, rel=0.5)
-
-
-def test_thresholds_reach_braking_that_is_rare():
-    # ten minutes at 0.5 m/s with 9 s of hard braking in all: 1.5 % of the time, below the lowest of even quantiles
-    t_s = np.arange(30_001) * 0.02
-    late = t_s % 60.0
-    v = np.interp(late, [0.0, 4.0, 59.1, 60.0], [0.05, 0.5, 0.5, 0.05])
-    x = np.concatenate(([0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * 0.02)))
-    motion = motion_of(t_s, np.column_stack((x, *np.zeros((2, len(x))))))
-    steps = [f for f in functions_of_motion([motion]) if f.regressor == "acceleration" and "< -" in f.text]
-    hard = [np.mean(f.parts[0](motion)) for f in steps if f.form == "step" and f.shape[0] < -0.3]
-    assert any(0.01 < part < 0.025 for part in hard)
 
 
 @pytest.mark.slow
