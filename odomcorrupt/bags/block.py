@@ -15,7 +15,7 @@ import numpy as np
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Container, Iterable, Iterator, Mapping
     from pathlib import Path
     from types import TracebackType
 
@@ -72,39 +72,14 @@ class Message(NamedTuple):
     data: bytes
 
 
-@dataclass(slots=True, eq=False, repr=False)
-class Block:
-    """Consecutive messages of a bag in one buffer.
+@dataclass(frozen=True, slots=True)
+class Framing:
+    """How a block's messages lie in its file: here bare, with nothing between them.
 
-    data : (size,) uint8, writable; the decompressed chunk
-    table : (n,) of dtype TABLE, one row per message
-    raw : format-specific data for writing (compression, record framing, non-message records)
-    added : messages to append, in order
-    ends : end offsets of the chunks that were joined; empty for a single chunk
-    sparse : position in the input file and CRC-32 of each chunk, if the data have only messages that were asked for
-    changed : (n,) rows of the table; all other messages are as they were read. None if this is not known
+    codec : compression of the chunk that they come from
     """
 
-    data: NDArray[np.uint8]
-    table: NDArray[np.void]
-    raw: Any = None
-    added: list[Message] = field(default_factory=list)
-    ends: tuple[int, ...] = ()
-    changed: NDArray[np.int64] | None = None
-    sparse: tuple[tuple[int, int], ...] = ()
-
-    def present(self) -> set[int]:
-        """Return the ids of the channels of its messages."""
-        channels = self.table["channel"]
-        if channels.max(initial=0) > _SMALL:
-            return set(channels.tolist())
-        return set(np.flatnonzero(np.bincount(channels)).tolist())
-
-
-class Framing:
-    """Format-specific framing of a block in its file; consecutive chunks may be joined into one block."""
-
-    __slots__ = ()
+    codec: str = "zstd"
 
     def begins(self, table: NDArray[np.void]) -> NDArray[np.int64]:
         """Return the offsets (n,) of the records of a block's messages, bytes, headers included."""
@@ -123,18 +98,58 @@ class Framing:
         return self
 
 
-def own_framing(block: Block) -> Framing:
-    """Return the framing of a block in its file, of one of several files, too."""
-    framing = block.raw.own.raw if isinstance(block.raw, PartFraming) else block.raw
-    return framing if isinstance(framing, Framing) else Framing()
+BARE = Framing()
+
+
+@dataclass(slots=True, eq=False, repr=False)
+class Block:
+    """Consecutive messages of a bag in one buffer.
+
+    data : (size,) uint8, writable; the decompressed chunk
+    table : (n,) of dtype TABLE, one row per message
+    raw : format-specific data for writing (compression, record framing, non-message records)
+    added : messages to append, in order
+    ends : end offsets of the chunks that were joined; empty for a single chunk
+    part : index of the file that it is from, of a bag of several
+    changed : (n,) rows of the table; all other messages are as they were read. None if this is not known
+    sparse : position in the input file and CRC-32 of each chunk, if the data have only messages that were asked for
+    """
+
+    data: NDArray[np.uint8]
+    table: NDArray[np.void]
+    raw: Framing = BARE
+    added: list[Message] = field(default_factory=list)
+    ends: tuple[int, ...] = ()
+    part: int = 0
+    changed: NDArray[np.int64] | None = None
+    sparse: tuple[tuple[int, int], ...] = ()
+
+    def present(self) -> set[int]:
+        """Return the ids of the channels of its messages."""
+        channels = self.table["channel"]
+        if channels.max(initial=0) > _SMALL:
+            return set(channels.tolist())
+        return set(np.flatnonzero(np.bincount(channels)).tolist())
+
+    def message(self, row: int) -> bytes:
+        """Return the serialised message in a row of the table."""
+        _, _, offset, length = self.table[row].tolist()
+        return self.data[offset : offset + length].tobytes()
+
+
+def with_ids(table: NDArray[np.void], number_of: Callable[[int], int]) -> NDArray[np.void]:
+    """Return a copy of a table with other ids of channels."""
+    known, places = np.unique(table["channel"], return_inverse=True)
+    out = table.copy()
+    out["channel"] = np.array([number_of(one) for one in known.tolist()], dtype=np.uint32)[places]
+    return out
 
 
 def without(block: Block, left_out: NDArray[np.bool_]) -> Block:
     """Return a block of records without some of its messages (n,); other records are kept, empty chunks are not."""
     if not left_out.any():
         return block
-    own = block.raw.own if isinstance(block.raw, PartFraming) else block
-    every = own_framing(block).begins(block.table)
+    every = block.raw.begins(block.table)
     order = np.argsort(every[left_out], kind="stable")
     ends = np.maximum.accumulate((block.table["offset"] + block.table["length"])[left_out][order])
     befores = np.concatenate(([0], ends))
@@ -147,36 +162,10 @@ def without(block: Block, left_out: NDArray[np.bool_]) -> Block:
         passed = np.searchsorted(begins, offsets)
         return offsets - sizes[passed] + np.maximum(befores[passed] - offsets, 0)
 
-    framing = own.raw.kept(moved(every[~left_out])) if isinstance(own.raw, Framing) else own.raw
-    chunk_ends = sorted(set(moved(np.array(own.ends, dtype=np.int64)).tolist()))
-    left = Block(data, own.table[~left_out], framing, ends=tuple(end for end in chunk_ends if end > 0))
-    left.table["offset"] = moved(left.table["offset"])
-    if own is block:
-        return left
     table = block.table[~left_out]
-    table["offset"] = left.table["offset"]
-    return Block(data, table, PartFraming(block.raw.part, left))
-
-
-class PartFraming(NamedTuple):
-    """Framing of a block of a bag of several files.
-
-    part : index of the block's file
-    own : the block with the channel ids of that file
-    """
-
-    part: int
-    own: Block
-
-
-@dataclass(frozen=True, slots=True)
-class Unframed(Framing):
-    """Framing of a block of bare messages, which were rewritten while they were read.
-
-    codec : compression of the chunk that they came from
-    """
-
-    codec: str = "zstd"
+    table["offset"] = moved(table["offset"])
+    chunk_ends = sorted(set(moved(np.array(block.ends, dtype=np.int64)).tolist()) - {0})
+    return Block(data, table, block.raw.kept(moved(every[~left_out])), ends=tuple(chunk_ends), part=block.part)
 
 
 class PartContents(NamedTuple):
@@ -230,6 +219,16 @@ class BagReader(Protocol):
     def __exit__(self, *_error: object) -> None: ...
 
 
+class ReaderView:
+    """A reader with blocks of its own; otherwise equal to the given one."""
+
+    def __init__(self, reader: BagReader) -> None:
+        self._reader = reader
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._reader, name)
+
+
 def require_all(name: str, reader: BagReader, written: int, added: int) -> None:
     """Raise BagError where an output has not as many messages as were read and added.
 
@@ -276,58 +275,44 @@ _ENOUGH_MESSAGES = 20_000
 
 def joined(blocks: Iterable[Block]) -> Iterator[Block]:
     """Yield blocks, with adjacent small chunks of the same framing joined."""
-    run = _Run()
+    run: list[Block] = []
+    messages = 0
     for block in blocks:
-        if run.blocks and not run.goes_on_with(block):
-            yield run.block()
-            run = _Run()
-        run.add(block)
-    if run.blocks:
-        yield run.block()
+        messages += len(block.table)
+        if run and (messages > _ENOUGH_MESSAGES or not _goes_on(run[-1], block)):
+            yield _one(run)
+            run, messages = [], len(block.table)
+        run.append(block)
+    if run:
+        yield _one(run)
 
 
-@dataclass(slots=True, eq=False, repr=False)
-class _Run:
-    blocks: list[Block] = field(default_factory=list)
-    messages: int = 0
-    end: int = 0
-
-    def add(self, block: Block) -> None:
-        self.blocks.append(block)
-        self.messages += len(block.table)
-        self.end = _address(block) + block.data.size
-
-    def goes_on_with(self, block: Block) -> bool:
-        last = self.blocks[-1]
-        return (
-            not (last.ends or block.ends)
-            and self.messages + len(block.table) <= _ENOUGH_MESSAGES
-            and _address(block) == self.end
-            and block.data.base is last.data.base
-            and isinstance(block.data.base, np.ndarray)
-            and isinstance(last.raw, Framing)
-            and last.raw.goes_on_with(block.raw)
-        )
-
-    def block(self) -> Block:
-        first = self.blocks[0]
-        whole = first.data.base
-        if len(self.blocks) == 1 or not isinstance(whole, np.ndarray):
-            return first
-        ends = np.cumsum([block.data.size for block in self.blocks]).tolist()
-        begins = [0, *ends[:-1]]
-        at = _address(first) - _address_of(whole)
-        # as plain bytes: NumPy is slow at concatenating structured arrays
-        table = np.concatenate([block.table.view(np.uint8) for block in self.blocks]).view(TABLE)
-        table["offset"] += np.repeat(begins, [len(block.table) for block in self.blocks])
-        raw = first.raw.joined([block.raw for block in self.blocks[1:]], begins[1:])
-        sparse = tuple(one for block in self.blocks for one in block.sparse)  # of all: they lie in the same buffer
-        return Block(whole[at : at + ends[-1]], table, raw, ends=tuple(ends), sparse=sparse)
+def _goes_on(last: Block, block: Block) -> bool:
+    """Return whether a block is a chunk that lies directly behind another one in the same buffer."""
+    return (
+        not (last.ends or block.ends)
+        and isinstance(block.data.base, np.ndarray)
+        and block.data.base is last.data.base
+        and _address(block.data) == _address(last.data) + last.data.size
+        and last.raw.goes_on_with(block.raw)
+    )
 
 
-def _address(block: Block) -> int:
-    return _address_of(block.data)
+def _one(run: list[Block]) -> Block:
+    first = run[0]
+    whole = first.data.base
+    if len(run) == 1 or not isinstance(whole, np.ndarray):
+        return first
+    ends = np.cumsum([block.data.size for block in run]).tolist()
+    begins = [0, *ends[:-1]]
+    at = _address(first.data) - _address(whole)
+    # as plain bytes: NumPy is slow at concatenating structured arrays
+    table = np.concatenate([block.table.view(np.uint8) for block in run]).view(TABLE)
+    table["offset"] += np.repeat(begins, [len(block.table) for block in run])
+    raw = first.raw.joined([block.raw for block in run[1:]], begins[1:])
+    sparse = tuple(one for block in run for one in block.sparse)  # of all: they lie in the same buffer
+    return Block(whole[at : at + ends[-1]], table, raw, ends=tuple(ends), part=first.part, sparse=sparse)
 
 
-def _address_of(data: np.ndarray[tuple[int], np.dtype[np.uint8]]) -> int:
+def _address(data: NDArray[np.uint8]) -> int:
     return int(data.__array_interface__["data"][0])

@@ -9,6 +9,7 @@ import numpy as np
 
 from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.codecs import Packed, beginning, decompress, unpacked
+from odomcorrupt.bags.source import LARGEST_BYTES
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -52,15 +53,15 @@ _BLOCK_BYTES = 4 << 20
 MOST_RECORDS = 1 << 22
 """What a chunk without an index of its messages is walked for: no recorder writes a tenth of it."""
 
-_LARGEST_RECORD_BYTES = 1 << 32
-"""An endless pipe must not fill the memory."""
+BATCH_BYTES = 1 << 20
+"""What of messages outside of chunks, or of rows, becomes a block."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Chunk:
     """A decompressed chunk or a part of one, and the contents of the indexes that follow it.
 
-    open : records of a ROS 1 chunk that was never finished
+    loose : in place of data, collected records that stand outside of chunks
     place, crc : position of its data in the file, and their stated CRC-32, if they are not compressed; else None, 0
     """
 
@@ -68,13 +69,19 @@ class Chunk:
     codec: str
     what: str
     indexes: list[bytes] = field(default_factory=list)
-    open: bytearray = field(default_factory=bytearray)
+    loose: bytearray = field(default_factory=bytearray)
     place: int | None = None
     crc: int = 0
 
-    def append(self, _opcode: int, content: bytes, _what: str) -> None:
-        """Append an index."""
-        self.indexes.append(content)
+    @classmethod
+    def outside(cls, what: str) -> Chunk:
+        """Return an empty collection of records outside of chunks."""
+        return cls(np.empty(0, dtype=np.uint8), "none", what)
+
+    @property
+    def records(self) -> NDArray[np.uint8]:
+        """Its records (size,), bytes."""
+        return np.frombuffer(self.loose, dtype=np.uint8) if self.loose else self.data
 
 
 class ChunkHead(NamedTuple):
@@ -205,7 +212,7 @@ def record_blocks(
             yield buffer[:end]
         rest, behind = buffer[end:filled], behind + end
         whole = filled < wanted
-        if not whole and rest.size and not 0 < needed <= min(size - behind, _LARGEST_RECORD_BYTES):
+        if not whole and rest.size and not 0 < needed <= min(size - behind, LARGEST_BYTES):
             for _ in pieces:
                 pass
             whole = True

@@ -132,7 +132,7 @@ def _of_none(packed: Packed) -> Iterator[memoryview]:
         yield piece
 
 
-def _of_zstd(packed: Packed) -> Iterator[bytes]:
+def zstd_pieces(packed: Packed) -> Iterator[bytes]:
     """Decompress frames block by block (RFC 8878, section 3.1): each becomes 128 kB at most, and a cut is seen."""
     decompressor = zstandard.ZstdDecompressor()
     begun = False
@@ -219,7 +219,7 @@ def _of_bz2(packed: Packed) -> Iterator[bytes]:
 
 _PIECES: dict[str, Callable[[Packed], Iterator[bytes | memoryview]]] = {
     "none": _of_none,
-    "zstd": _of_zstd,
+    "zstd": zstd_pieces,
     "lz4": _of_lz4,
     "bz2": _of_bz2,
 }

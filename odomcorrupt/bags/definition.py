@@ -1,4 +1,4 @@
-"""Definitions of message types that a bag lacks, and md5sums of types."""
+"""Channels of an output, definitions of message types that a bag lacks, and md5sums of types."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ import re
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
-from odomcorrupt.bags.block import Definition
+from odomcorrupt.bags.block import Channel, Definition
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from odomcorrupt.bags.block import BagReader, Channel
+    from odomcorrupt.bags.block import BagReader
 
 
 class RosType(NamedTuple):
@@ -95,12 +93,43 @@ def retyped(reader: BagReader, msgtype: str, like: Channel) -> Definition:
         if (other.msgtype, other.encoding) == (msgtype, encoding):
             found = reader.definition(other)
             typed = {key: found.metadata[key] for key in _TYPED if key in found.metadata}
-            return found._replace(metadata={**_without(publisher.metadata, _TYPED), **typed})
+            untyped = {key: value for key, value in publisher.metadata.items() if key not in _TYPED}
+            return found._replace(metadata={**untyped, **typed})
     kind = ros_type(msgtype, encoding)
     values = {"md5sum": kind.digest, "topic_type_hash": kind.digest, "type": kind.name}
     metadata = {**publisher.metadata, **{key: value for key, value in values.items() if key in publisher.metadata}}
     return Definition(kind.name, "ros1msg" if encoding == "ros1" else "ros2msg", kind.text.encode(), metadata)
 
 
-def _without(metadata: Mapping[str, str], keys: tuple[str, ...]) -> dict[str, str]:
-    return {key: value for key, value in metadata.items() if key not in keys}
+LAST_ID = 0xFFFF
+"""Of a channel of an MCAP; a ROS 1 bag could have more."""
+
+
+class OutputChannels:
+    """Channels of an output: those of its reader, and added ones.
+
+    Ids of added ones count down from the last, since on a pipe channels yet to come count up from the first.
+    """
+
+    def __init__(self, reader: BagReader, last: int = LAST_ID) -> None:
+        self.reader = reader
+        self.added: dict[int, tuple[Channel, Definition]] = {}
+        self._last = last
+
+    def add(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
+        """Add a channel; return it with a new id."""
+        number = self._last
+        while number in self.added or number in self.reader.channels:
+            number -= 1
+        channel = Channel(number, topic, msgtype, encoding)
+        self.added[number] = channel, definition
+        return channel
+
+    def described(self, number: int) -> tuple[Channel, Definition]:
+        """Return a channel with the definition of its type."""
+        if number in self.added:
+            return self.added[number]
+        if number not in self.reader.channels:
+            raise BagError(f"channel {number}: is neither in the bag nor added to it")
+        channel = self.reader.channels[number]
+        return channel, self.reader.definition(channel)

@@ -6,6 +6,7 @@ strings, counts, CDR header) and is found by these, never by the message's lengt
 
 from __future__ import annotations
 
+import math
 import struct
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
@@ -64,6 +65,7 @@ class Template(NamedTuple):
     structure : (w,) uint8, the first w bytes of such a message, other than structural ones zeroed
     mask : (w,) uint8, 255 where a byte is structural
     size : bytes from the message's start to the end of its last number
+    order : byte order of its numbers, "<" or ">"
     unsigned_seconds : whether the stamp's seconds are unsigned (ROS 1)
     """
 
@@ -71,7 +73,7 @@ class Template(NamedTuple):
     structure: NDArray[np.uint8]
     mask: NDArray[np.uint8]
     size: int
-    big_endian: bool
+    order: str
     unsigned_seconds: bool
 
 
@@ -86,7 +88,7 @@ def read_template(data: bytes, topic: str, msgtype: str, encoding: str) -> Templ
     width = cursor.marked_to
     mask = np.frombuffer(cursor.mask, dtype=np.uint8)[:width].copy()
     structure = np.frombuffer(data, dtype=np.uint8)[:width] & mask
-    return Template(items, structure, mask, cursor.at, cursor.order == ">", encoding == "ros1")
+    return Template(items, structure, mask, cursor.at, cursor.order, encoding == "ros1")
 
 
 class _Cursor:
@@ -175,17 +177,22 @@ class _CdrCursor(_Cursor):
         self.take((4 - self.at) % min(size, self.largest), structural=False)
 
 
-def _odometry(cursor: _Cursor) -> tuple[Item, ...]:
-    stamp, frame = cursor.header()
-    child = cursor.string()
-    fields = {"position": cursor.doubles(3), "orientation": cursor.doubles(4), "pose_covariance": cursor.doubles(36)}
-    return (Item(frame, child, stamp, fields | {"twist": cursor.doubles(6), "twist_covariance": cursor.doubles(36)}),)
+def _doubles(*, child: bool = False, **counts: int) -> Callable[[_Cursor], tuple[Item, ...]]:
+    """Return the reader of a message of a header, a child frame if it has one, and float64 numbers.
+
+    counts : how many there are of each field, in order; those of a name that begins with _ are passed over
+    """
+
+    def read(cursor: _Cursor) -> tuple[Item, ...]:
+        stamp, frame = cursor.header()
+        below = cursor.string() if child else ""
+        fields = {name: cursor.doubles(count) for name, count in counts.items()}
+        return (Item(frame, below, stamp, {name: at for name, at in fields.items() if name[0] != "_"}),)
+
+    return read
 
 
-def _transform(cursor: _Cursor) -> tuple[Item, ...]:
-    stamp, frame = cursor.header()
-    child = cursor.string()
-    return (Item(frame, child, stamp, {"position": cursor.doubles(3), "orientation": cursor.doubles(4)}),)
+_transform = _doubles(child=True, position=3, orientation=4)
 
 
 def _transforms(cursor: _Cursor) -> tuple[Item, ...]:
@@ -195,34 +202,11 @@ def _transforms(cursor: _Cursor) -> tuple[Item, ...]:
     return tuple(items)
 
 
-def _point(cursor: _Cursor) -> tuple[Item, ...]:
-    stamp, frame = cursor.header()
-    return (Item(frame, "", stamp, {"position": cursor.doubles(3)}),)
-
-
-def _pose(cursor: _Cursor) -> tuple[Item, ...]:
-    stamp, frame = cursor.header()
-    return (Item(frame, "", stamp, {"position": cursor.doubles(3), "orientation": cursor.doubles(4)}),)
-
-
-def _pose_with_covariance(cursor: _Cursor) -> tuple[Item, ...]:
-    (item,) = _pose(cursor)
-    fields = {**item.fields, "pose_covariance": cursor.doubles(36)}
-    return (Item(item.frame_id, "", item.stamp, fields),)
-
-
 def _nav_sat_fix(cursor: _Cursor) -> tuple[Item, ...]:
     stamp, frame = cursor.header()
     status = cursor.skip(1)
     cursor.skip(2)  # service
     return (Item(frame, "", stamp, {"lla": cursor.doubles(3), "covariance": cursor.doubles(9)}, status),)
-
-
-def _imu(cursor: _Cursor) -> tuple[Item, ...]:
-    stamp, frame = cursor.header()
-    orientation, _, angular, _ = (cursor.doubles(count) for count in (4, 9, 3, 9))
-    fields = {"orientation": orientation, "angular_velocity": angular, "linear_acceleration": cursor.doubles(3)}
-    return (Item(frame, "", stamp, fields),)
 
 
 def _laser_scan(cursor: _Cursor) -> tuple[Item, ...]:
@@ -245,11 +229,6 @@ def _joint_state(cursor: _Cursor) -> tuple[Item, ...]:
     return tuple(items)
 
 
-def _twist(cursor: _Cursor) -> tuple[Item, ...]:
-    stamp, frame = cursor.header()
-    return (Item(frame, "", stamp, {"twist": cursor.doubles(6)}),)
-
-
 def _wheels(number: str, before: int = 0, count: int = 2) -> Callable[[_Cursor], tuple[Item, ...]]:
     """Return the reader of a message with the ticks or speeds of wheels.
 
@@ -270,19 +249,23 @@ def _wheels(number: str, before: int = 0, count: int = 2) -> Callable[[_Cursor],
 
 
 PROGRAMS: Mapping[str, Callable[[_Cursor], tuple[Item, ...]]] = {
-    "nav_msgs/msg/Odometry": _odometry,
+    "nav_msgs/msg/Odometry": _doubles(
+        child=True, position=3, orientation=4, pose_covariance=36, twist=6, twist_covariance=36
+    ),
     "tf2_msgs/msg/TFMessage": _transforms,
     "tf/msg/tfMessage": _transforms,
-    "geometry_msgs/msg/PoseStamped": _pose,
-    "geometry_msgs/msg/PoseWithCovarianceStamped": _pose_with_covariance,
-    "geometry_msgs/msg/PointStamped": _point,
+    "geometry_msgs/msg/PoseStamped": _doubles(position=3, orientation=4),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _doubles(position=3, orientation=4, pose_covariance=36),
+    "geometry_msgs/msg/PointStamped": _doubles(position=3),
     "geometry_msgs/msg/TransformStamped": _transform,
     "sensor_msgs/msg/NavSatFix": _nav_sat_fix,
-    "sensor_msgs/msg/Imu": _imu,
+    "sensor_msgs/msg/Imu": _doubles(
+        orientation=4, _orientation_covariance=9, angular_velocity=3, _covariance=9, linear_acceleration=3
+    ),
     "sensor_msgs/msg/LaserScan": _laser_scan,
     "sensor_msgs/msg/JointState": _joint_state,
-    "geometry_msgs/msg/TwistStamped": _twist,
-    "geometry_msgs/msg/TwistWithCovarianceStamped": _twist,
+    "geometry_msgs/msg/TwistStamped": _doubles(twist=6),
+    "geometry_msgs/msg/TwistWithCovarianceStamped": _doubles(twist=6),
     "irobot_create_msgs/msg/WheelTicks": _wheels("i4"),
     "irobot_create_msgs/msg/WheelVels": _wheels("f4"),
     "std_msgs/msg/Int32": _wheels("i4", -1, 1),
@@ -305,17 +288,15 @@ class Layout(NamedTuple):
     rows : (n,) indices into the block's table, ascending
     starts : (n,) offsets of the messages in the block's data, bytes
     items : one for an Odometry or pose, one per transform for a TFMessage (none for an empty one)
-    big_endian : whether numbers are stored big-endian (CDR only)
+    order : byte order of the numbers, "<" or ">" (CDR only)
     unsigned_seconds : whether the stamps' seconds are unsigned, as in ROS 1
-    size : bytes from a message's start to the end of its last number
     """
 
     rows: NDArray[np.int64]
     starts: NDArray[np.int64]
     items: tuple[Item, ...]
-    big_endian: bool = False
-    unsigned_seconds: bool = False
-    size: int = 0
+    order: str
+    unsigned_seconds: bool
 
 
 def locate(block: Block, channel: Channel) -> list[Layout]:
@@ -360,8 +341,7 @@ def _layouts(block: Block, channel: Channel, failed: dict[int, BagError] | None 
             rows, starts, lengths = rows[1:], starts[1:], lengths[1:]
             continue
         same = _matches(block.data, starts, lengths, template)
-        kind = (template.items, template.big_endian, template.unsigned_seconds, template.size)
-        yield Layout(rows[same], starts[same], *kind)
+        yield Layout(rows[same], starts[same], template.items, template.order, template.unsigned_seconds)
         rows, starts, lengths = rows[~same], starts[~same], lengths[~same]
 
 
@@ -373,7 +353,7 @@ def gather(block: Block, layout: Layout, item: Item, field: str) -> NDArray[np.f
     field : name of the field in `item.fields`
     """
     offset, count = item.fields[field]
-    kind = np.dtype(_order(layout) + item.number)
+    kind = np.dtype(layout.order + item.number)
     raw = windows(block.data, kind.itemsize * count)[layout.starts + offset]
     return raw.view(kind).reshape(-1, count).astype(np.float64, copy=False)
 
@@ -408,7 +388,7 @@ def _put(
     block: Block, layout: Layout, places: NDArray[np.int64], values: NDArray[np.float64], number: str = "f8"
 ) -> None:
     """Write rows of numbers (n, k) of a type at offsets (n,) of the block's data."""
-    raw = np.ascontiguousarray(values, dtype=_order(layout) + number)
+    raw = np.ascontiguousarray(values, dtype=layout.order + number)
     width = raw.itemsize * raw.shape[1]
     windows(block.data, width)[places] = raw.view(f"V{width}")[:, 0]
 
@@ -477,16 +457,30 @@ def _matches(
     return same
 
 
-def _order(layout: Layout) -> str:
-    return ">" if layout.big_endian else "<"
-
-
 def _stamp_type(layout: Layout) -> np.dtype[np.void]:
-    order = _order(layout)
-    return np.dtype([("s", order + ("u4" if layout.unsigned_seconds else "i4")), ("ns", order + "u4")])
+    return np.dtype([("s", layout.order + "iu"[layout.unsigned_seconds] + "4"), ("ns", layout.order + "u4")])
 
 
-START_NS = 1_000_000_000
+def pack_transform(encoding: str, stamp_ns: int, frames: tuple[str, str], xyt: tuple[float, float, float]) -> bytes:
+    """Return a TFMessage of one planar transform parent -> child, serialised as "ros1" or little-endian "cdr".
+
+    frames : parent and child
+    xyt : pose of the child in the parent, m, m, rad
+    """
+    x, y, turn = xyt
+    numbers = struct.pack("<7d", x, y, 0.0, 0.0, 0.0, math.sin(turn / 2.0), math.cos(turn / 2.0))
+    seconds, nanoseconds = divmod(stamp_ns, SECOND_NS)
+    names = [frame.encode() for frame in frames]
+    if encoding == "ros1":
+        head = struct.pack("<IIII", 1, 0, seconds, nanoseconds)
+        return head + b"".join(struct.pack("<I", len(name)) + name for name in names) + numbers
+    out = bytearray(struct.pack("<IiI", 1, seconds, nanoseconds))
+    for name in names:
+        out += b"\0" * (-len(out) % 4) + struct.pack("<I", len(name) + 1) + name + b"\0"
+    return b"\0\1\0\0" + bytes(out) + b"\0" * (-len(out) % 8) + numbers
+
+
+START_NS = SECOND_NS
 """Log time of the first command: 0 would be taken for no time at all."""
 _TYPE = "geometry_msgs/msg/Twist"
 _CDR = b"\x00\x01\x00\x00"
@@ -517,7 +511,3 @@ def write_twists(
         data = _CDR + row.tobytes()
         writer.add_message(channel, log_time=stamp_ns, publish_time=stamp_ns, sequence=number, data=data)
     writer.finish()
-
-
-__all__ = ["READABLE", "Item", "Layout", "gather", "gather_stamps_ns", "gather_status", "locate", "scatter",
-           "scatter_columns", "scatter_stamps_ns", "stamps_or_log_ns", "undecodable"]  # fmt: skip

@@ -8,7 +8,6 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
 
-from odomcorrupt.bags.checksum import CAN_COMBINE
 from odomcorrupt.bags.codecs import require_level
 from odomcorrupt.bags.output import Output, is_stream, refuse_target
 from odomcorrupt.bags.record_reader import RecordReader, loss_of
@@ -277,7 +276,7 @@ def open_writer(
     if isinstance(reader, RecordReader) and path is not None and not is_stream(path) and str(path) != "-":
         # what the kernel copies in a thread need not be written from memory
         copied = beside and reader.kind == kind and compression in (None, "none")
-        reader.sparse = copied and CAN_COMBINE and sys.platform == "linux"
+        reader.sparse = copied and sys.platform == "linux"
     # the reader of a bag's only file of the same kind: this file is rewritten
     part = parts.parts[0] if parts and len(parts.parts) == 1 and parts.kind == kind else None
     if kind == "mcap":

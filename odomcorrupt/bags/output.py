@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Self
 
-from odomcorrupt.bags.checksum import combined, crc32, crc_of_both
+from odomcorrupt.bags.checksum import combined, crc32
 from odomcorrupt.errors import BagError
 
 _BAG_SUFFIXES = (".yaml", ".db3", ".mcap", ".db3-wal", ".db3-shm", ".zstd", ".zst")
@@ -396,7 +396,7 @@ class Output:
     def write_summed(self, piece: bytes | memoryview, crc: int, original: Original | None = None) -> None:
         """Write bytes whose CRC-32 is known; if they are copied from an original, write only the changed spans."""
         if self.summing:
-            self.crc = crc_of_both(self.crc, crc, piece)
+            self.crc = combined(self.crc, crc, len(piece))
         self._put(memoryview(piece), original)
 
     def _put(self, view: memoryview, original: Original | None = None) -> None:

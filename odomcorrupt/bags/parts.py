@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import glob
 import re
+from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Self, cast, get_args
 
-import numpy as np
-
-from odomcorrupt.bags.block import Block, Channel, Kind, PartFraming, joined
+from odomcorrupt.bags.block import Channel, Kind, with_ids
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.record_reader import loss_of
 from odomcorrupt.bags.ros1.reader import Ros1Reader
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from odomcorrupt.bags.block import Definition
+    from odomcorrupt.bags.block import Block, Definition
 
 Part = SqliteReader | McapReader | Ros1Reader | UnpackedMessages
 
@@ -286,14 +285,10 @@ class PartsReader:
         for index, (part, numbers) in enumerate(zip(self.parts, self.numbers, strict=True)):
             self._reading = index
             wanted = None if only is None else {own for own, number in numbers.items() if number in only}
-            if len(self.parts) == 1:
-                yield from part.blocks(wanted)
-                continue
-            for block in joined(part.blocks(wanted)):
-                table = block.table.copy()
-                known, places = np.unique(table["channel"], return_inverse=True)
-                table["channel"] = np.array([numbers[one] for one in known.tolist()], dtype=np.uint32)[places]
-                yield Block(block.data, table, PartFraming(index, block), ends=block.ends)
+            for block in part.blocks(wanted):
+                if index:
+                    block.table, block.part = with_ids(block.table, numbers.__getitem__), index
+                yield block
 
     def _number(self) -> None:
         """Assign channel ids: the first file's are kept, and a topic (of a publisher of ROS 1) has one in all files."""
@@ -301,16 +296,18 @@ class PartsReader:
         same: dict[Any, int] = {}
         for part in self.parts:
             numbers: dict[int, int] = {}
+            seen: Counter[Any] = Counter()
             for channel in part.channels.values():
                 key = (channel.topic, channel.msgtype, channel.encoding)
                 publisher = (*key, *channel.raw.fields.items()) if self.kind == "ros1" else key
-                number = channel.id if part is self.parts[0] else same.get(publisher)
+                seen[publisher] += 1  # the first of its channels in a file is the first one in all of them
+                number = channel.id if part is self.parts[0] else same.get((publisher, seen[publisher]))
                 if number is None:
                     number = max(channels, default=0) + 1
                 if number not in channels:
                     channels[number] = Channel(number, *key, raw=channel.raw)
                     self._origins[number] = (part, channel)
-                same.setdefault(publisher, number)
+                same.setdefault((publisher, seen[publisher]), number)
                 numbers[channel.id] = number
             self.numbers.append(numbers)
         self.channels = channels

@@ -9,14 +9,12 @@ longer than it saves.
 from __future__ import annotations
 
 import os
-import threading
 from collections import deque
-from functools import partial
-from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from concurrent.futures import Future, ThreadPoolExecutor
     from pathlib import Path
 
 MOST_THREADS = 4
@@ -42,94 +40,30 @@ def default_threads(source: Path | None = None) -> int:
     return min(cores, MOST_THREADS)
 
 
-class _Task(Generic[T]):
-    """A call and its future result."""
-
-    __slots__ = ("_done", "_error", "_value", "call")
-
-    def __init__(self, call: Callable[[], T]) -> None:
-        self.call: Callable[[], T] | None = call
-        self._error: BaseException | None = None
-        self._done = threading.Lock()
-        self._done.acquire()
-
-    def run(self) -> None:
-        """Compute it."""
-        call, self.call = self.call, None
-        try:
-            if call is not None:
-                self._value = call()
-        except BaseException as error:  # noqa: BLE001 - raised when the result is requested
-            self._error = error
-        self._done.release()
-
-    @property
-    def done(self) -> bool:
-        """Whether the result is there."""
-        return not self._done.locked()
-
-    def result(self) -> T:
-        """Wait for the result, and return it or raise what the call raised."""
-        with self._done:
-            pass
-        if self._error is not None:
-            raise self._error
-        return self._value
-
-
 class Workers:
     """Thread pool; closed by the context manager, which drops calls not yet started.
 
-    threads : total number of threads of the process: with one, `submit` makes the call itself
+    threads : number of threads that compress: with one, it is the main thread
     """
 
     def __init__(self, threads: int) -> None:
         self.threads = threads
-        self._tasks: SimpleQueue[_Task[object] | None] = SimpleQueue()
-        self._started: list[threading.Thread] = []
-        self._closed = False
+        self._pool: ThreadPoolExecutor | None = None
 
-    def submit(self, call: Callable[[], T]) -> _Task[T]:
-        """Submit a call to the pool; return its task."""
-        task = _Task(call)
-        if self.threads == 1:
-            task.run()
-            return task
-        if len(self._started) < self.threads - 1:
-            # not before there is work: a short bag needs none
-            self._started.append(threading.Thread(target=self._work, name="compress", daemon=True))
-            self._started[-1].start()
-        self._tasks.put(task)  # type: ignore[arg-type] # whatever it returns
-        return task
+    def submit(self, call: Callable[[], T]) -> Future[T]:
+        """Return the future result of a call."""
+        if self._pool is None:
+            from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415 - slow to import; a short bag needs none
 
-    def help(self) -> bool:
-        """Make one waiting call in the current thread; return whether there was one."""
-        try:
-            task = self._tasks.get_nowait()
-        except Empty:
-            return False
-        if task is not None:
-            task.run()
-        return task is not None
-
-    def _work(self) -> None:
-        while (task := self._tasks.get()) is not None and not self._closed:
-            task.run()
-
-    def close(self) -> None:
-        """End the threads after their present calls."""
-        self._closed = True
-        for _ in self._started:
-            self._tasks.put(None)
-        for thread in self._started:
-            thread.join()
-        self._started.clear()
+            self._pool = ThreadPoolExecutor(self.threads, "compress")
+        return self._pool.submit(call)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_error: object) -> None:
-        self.close()
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
 
 
 class OrderedResults:
@@ -140,7 +74,7 @@ class OrderedResults:
 
     def __init__(self, workers: Workers | None) -> None:
         self._workers = workers if workers is not None and workers.threads > 1 else None
-        self._waiting: deque[tuple[Callable[[], None], Callable[[], bool], int]] = deque()
+        self._waiting: deque[tuple[Future[Any] | None, Callable[[], None], int]] = deque()
         self._bytes = 0
 
     def put(self, call: Callable[[], T], then: Callable[[T], None], size: int, *, worth: bool = True) -> None:
@@ -153,36 +87,28 @@ class OrderedResults:
         if self._workers is None or not worth:
             self.put_behind(lambda: then(call()), size)
             return
-        task = self._workers.submit(call)
-        self._waiting.append((partial(_pass_on, task, then), lambda: task.done, size))
-        self._bytes += size
-        self._take_ready()
+        future = self._workers.submit(call)
+        self._add(future, lambda: then(future.result()), size)
 
     def put_behind(self, then: Callable[[], None], size: int = 0) -> None:
         """Submit a function to run after all earlier ones; it holds `size` bytes until then."""
-        if not self._waiting:
+        if self._waiting:
+            self._add(None, then, size)
+        else:
             then()
-            return
-        self._waiting.append((then, lambda: True, size))
-        self._bytes += size
-        self._take_ready()
 
     def finish(self) -> None:
         """Wait for all submitted calls."""
         while self._waiting:
             self._take()
 
-    def _take_ready(self) -> None:
-        while self._waiting and (self._bytes > WAITING_BYTES or self._waiting[0][1]()):
+    def _add(self, future: Future[Any] | None, act: Callable[[], None], size: int) -> None:
+        self._waiting.append((future, act, size))
+        self._bytes += size
+        while self._waiting and (self._bytes > WAITING_BYTES or (first := self._waiting[0][0]) is None or first.done()):
             self._take()
 
     def _take(self) -> None:
-        act, done, size = self._waiting.popleft()
+        _, act, size = self._waiting.popleft()
         self._bytes -= size
-        while not done() and self._workers is not None and self._workers.help():
-            pass
         act()
-
-
-def _pass_on(task: _Task[T], then: Callable[[T], None]) -> None:
-    then(task.result())

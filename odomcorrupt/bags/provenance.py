@@ -5,7 +5,9 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
-from odomcorrupt.bags.mcap.chunk import RECORD_HEADER_BYTES, McapFraming, Op
+from mcap.opcode import Opcode as Op
+
+from odomcorrupt.bags.mcap.chunk import RECORD_HEADER_BYTES, McapFraming
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import Block, Channel
+    from odomcorrupt.bags.chunk import Chunk
 
 
 _ADVICE = re.compile(r"[;,]? *(?:try )?--recover\b.*\Z", re.DOTALL)
@@ -70,6 +71,9 @@ class Undecodable:
             for (topic, count), first in zip(self._counts.items(), self._reasons.values(), strict=True)
         ]
 
+
+WINDOW_BYTES = 1 << 20
+"""What of a damaged bag is searched for records at once."""
 
 _CLOSE_BYTES = 1 << 13
 """Changed messages at most this many bytes apart are written at once, which takes no longer than two writes."""
@@ -163,18 +167,26 @@ class RecordReader(ABC):
             if block is not None:
                 yield block
 
-    def _finished(self, part: Any) -> Block:
+    def _finished(self, part: Chunk) -> Block:
         """Return the messages of a chunk; with recovery those that are intact."""
         try:
-            block = self._block(part)
+            block = self._block(part.records, part)
+            unknown = block.present() - self.channels.keys()
+            if unknown:
+                raise BagError(  # noqa: TRY301
+                    f"{part.what}: messages of channel {min(unknown)}, which the bag does not define; damaged bag"
+                )
         except BagError as error:
             self._lose(error)
-            block = self._salvaged(part)
+            block = self._block(self._whole_records(part.records), replace(part, indexes=[]), salvage=True)
+            known = np.isin(block.table["channel"], list(self.channels))
+            block = without(block, ~known)
         if self._recover:
             block = without(block, self._undecodable.find(block, self.channels))
         self.count += len(block.table)
-        place = getattr(part, "place", None)
-        return block if self._only is None or place is None else self._thinned(block, place, part.crc, self._only)
+        if self._only is None or part.place is None:
+            return block
+        return self._thinned(block, part.place, part.crc, self._only)
 
     def _thinned(self, block: Block, place: int, crc: int, only: NDArray[np.bool_]) -> Block:
         """Return a chunk with only the messages of some channels, and each channel's first one.
@@ -212,12 +224,17 @@ class RecordReader(ABC):
         """Return the block that a part becomes, or None where there is nothing to write in it."""
 
     @abstractmethod
-    def _block(self, part: Any) -> Block:
-        """Return a chunk as a block; BagError where it is damaged."""
+    def _block(self, data: NDArray[np.uint8], part: Chunk, *, salvage: bool = False) -> Block:
+        """Return a chunk's records as a block, and register the channels in it; BagError where it is damaged.
 
+        data : (size,) the records
+        salvage : whether definitions that cannot be read are left out
+        """
+
+    @staticmethod
     @abstractmethod
-    def _salvaged(self, part: Any) -> Block:
-        """Return the intact messages of a damaged chunk."""
+    def _whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return the bytes (size,) of the intact records before the first damaged one."""
 
     @abstractmethod
     def _read_end(self, source: Source) -> None:

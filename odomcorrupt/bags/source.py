@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, Self
 
 import numpy as np
 
-from odomcorrupt.bags.checksum import crc32, crc_of_both
+from odomcorrupt.bags.checksum import combined, crc32
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -210,7 +210,7 @@ _BUFFER_BYTES = 1 << 16
 _TRUSTED_BYTES = 1 << 24
 """How much a pipe's claim of a length is allocated at once; beyond, memory grows with the bytes that really come."""
 
-_LARGEST_BYTES = 1 << 32
+LARGEST_BYTES = 1 << 32
 """More than that no chunk can have; an endless pipe must not fill the memory."""
 
 
@@ -378,7 +378,7 @@ class Source:
             return data
         pieces: list[NDArray[np.uint8]] = []
         for begin in range(0, size, _TRUSTED_BYTES):
-            if begin >= _LARGEST_BYTES:
+            if begin >= LARGEST_BYTES:
                 raise BagError(
                     f"{self.name}: {what} has a stated length of {size} bytes; the bag is damaged, or must be read "
                     "from a file"
@@ -415,7 +415,7 @@ class Source:
         self.position += begin
         if self.summing:
             self.crc_of_last = crc32(view)
-            self.crc = crc_of_both(self.crc, self.crc_of_last, view)
+            self.crc = combined(self.crc, self.crc_of_last, len(view))
 
     def close(self) -> None:
         """Close a file; a pipe is left to the caller."""

@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from odomcorrupt.bags.block import ReaderView
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.batching.job import Task
 from odomcorrupt.batching.manifest import (
@@ -67,14 +68,12 @@ class Need:
     free_bytes: int
 
 
-class _First:
-    """The beginning of a bag; otherwise equal to the given reader."""
+class _First(ReaderView):
+    """The beginning of a bag."""
 
     def __init__(self, reader: BagReader) -> None:
-        self._reader, self.read_bytes, self.cut = reader, 0, False
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._reader, name)
+        super().__init__(reader)
+        self.read_bytes, self.cut = 0, False
 
     def blocks(self, only: Any = None) -> Iterator[Block]:  # noqa: ARG002 - the protocol's signature
         """Yield blocks until `TRIED_BYTES`, and beyond it until there has been odometry."""
@@ -381,11 +380,14 @@ def run_on_dask(job_runs: Sequence[tuple[Job, Sequence[int]]], address: str, aud
 def require_odometry(jobs: Sequence[Job]) -> None:
     """Raise an error at once where all runs would fail: no odometry or topic to leave out, or an invalid model."""
     for job in jobs:
+        options = job.batch.options
+        robots = [options._replace(odom_topic=topic, odom_frame=None, base_frame=None) for topic in job.batch.also]
         with open_reader(job.source, recover=job.batch.container.recover) as reader:
-            transform = Transform(job.model_of(0), job.batch.seed, 0, job.batch.options)
-            transform.odometry.prepare(reader, reader.name)
-            if job.batch.options.consistent:
-                transform.relations(reader)
+            for own in (options, *robots):
+                transform = Transform(job.model_of(0), job.batch.seed, 0, own)
+                transform.odometry.prepare(reader, reader.name)
+                if options.consistent:
+                    transform.relations(reader)
             if job.batch.output == "full":
                 job.batch.container.target(job.path_of(0), reader)
 

@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.block import TABLE, Block, own_framing
+from odomcorrupt.bags.block import TABLE, Block
 from odomcorrupt.bags.chunk import windows
-from odomcorrupt.bags.messages import Layout
-from odomcorrupt.corruption.correction import Curve
-from odomcorrupt.corruption.transform import Transform
+from odomcorrupt.corruption.transform import Run
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,9 +21,8 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import BagReader, BagWriter
     from odomcorrupt.corruption.patch import Target
-    from odomcorrupt.corruption.path import PathSamples
     from odomcorrupt.corruption.reorder import Arrivals
-    from odomcorrupt.corruption.transform import Options, _Held
+    from odomcorrupt.corruption.transform import Options, Transform
     from odomcorrupt.model.motion_model import MotionModel
 
 PORTION_BYTES = 8 << 20
@@ -78,11 +75,6 @@ class Portion:
     targets: list[Target] = field(default_factory=list)
     first_ns: int = 0
 
-    @property
-    def oldest_ns(self) -> int:
-        """Log time of the first target."""
-        return int(min(target.time_ns[0] for target in self.targets))
-
     def patched_block(self, number: int, patched: NDArray[np.uint8]) -> Block:
         """Return a block with the messages of a run's patched portion."""
         place = self.places[number]
@@ -92,68 +84,49 @@ class Portion:
         return self.blocks[number]
 
 
-class _Reach(Curve):
-    """Extent in time of every run's C(t), without its values: it depends on stamps alone."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.until_ns: int | None = None
-
-    @property
-    def known_until_ns(self) -> int | None:
-        """Last stamp of the current stretch; None while it is empty."""
-        return self.until_ns
-
-    def restart(self) -> None:
-        """End the current stretch."""
-        self.until_ns = None
-
-
-class SharedTransform(Transform):
-    """Transform that determines, for all runs, when a block is ready and its targets; patches nothing.
+class SharedRun(Run):
+    """What all runs have in common, in place of a run: when odometry becomes known, and what is to be changed.
 
     growth : sorted odometry since it was last taken; None marks a restart of time
-    taken : targets of the block that `blocks` yielded last
+    targets : those of the last block; first_ns : the first stamp
     """
 
     def __init__(self, identity_model: MotionModel, options: Options) -> None:
         super().__init__(identity_model, 0, 0, options)
         self.growth: list[Arrivals | None] = []
-        self.taken: list[Target] = []
-        self._reach = _Reach()
-        self._curve = self._reach
-        self.watchers = [self]
-
-    @property
-    def first_ns(self) -> int:
-        """First stamp, nanoseconds."""
-        return self._first_ns or 0
+        self.targets: list[Target] = []
+        self.first_ns = 0
 
     def restart(self) -> None:
         """Record a restart of time."""
         self.growth.append(None)
+        self.known_until_ns = None
 
-    def add(self, samples: PathSamples) -> None:
-        """Do nothing: no path is drawn."""
+    def extend(self, ordered: Arrivals) -> None:
+        """Record odometry; no path is drawn."""
+        self.growth.append(ordered)
+        self.known_until_ns = int(ordered.stamps_ns[-1])
 
-    def _extend(self, ordered: Arrivals) -> None:
-        if len(ordered):
-            self.odometry.faults.paths.take(ordered.xyt)
-            self.growth.append(ordered)
-            self._reach.until_ns = int(ordered.stamps_ns[-1])
+    def apply(self, _block: Block, targets: list[Target], first_ns: int) -> None:
+        """Record the targets; nothing is changed."""
+        self.targets, self.first_ns = targets, first_ns
 
-    def _patch(self, held: _Held) -> Block:
-        self.taken = [] if self._first_ns is None else self._targets(held)
-        if self.truth is not None:
-            self.truth.add(held.block, [target for target in self.taken if self.odometry.is_odometry(target.channel)])
-        return held.block
+    def publish(self, block: Block, driving: list[Target], odom: str) -> None:
+        """Do nothing: each run has an edge of its own."""
 
 
 def portions(
-    shared: SharedTransform, reader: BagReader, *, keep: bool, whole: set[int] | None, writer: BagWriter | None = None
+    transform: Transform,
+    shared: SharedRun,
+    reader: BagReader,
+    *,
+    keep: bool,
+    whole: set[int] | None,
+    writer: BagWriter | None = None,
 ) -> Iterator[Portion]:
     """Yield a bag in portions; the last one may be empty.
 
+    transform, shared : the transform whose run is the shared one
     writer : receives the channels added to all runs
     keep : whether blocks are kept until every run has written them
     whole : ids of changing channels, all of whose messages are gathered; grows. None: the targets' channels only
@@ -163,17 +136,17 @@ def portions(
     LateTopic
         If a channel turns out to change after some of its messages were skipped.
     """
-    gatherer = _Gatherer(reader, shared, keep=keep, whole=whole)
-    for block in shared.blocks(reader, reader.name, writer):
-        gatherer.take(block, shared.taken)
+    gatherer = _Gatherer(reader, transform, keep=keep, whole=whole)
+    for block in transform.blocks(reader, reader.name, writer):
+        gatherer.take(block, shared.targets)
         if gatherer.full:
             yield gatherer.done(shared)
     yield gatherer.done(shared)
 
 
 class _Gatherer:
-    def __init__(self, reader: BagReader, shared: SharedTransform, *, keep: bool, whole: set[int] | None) -> None:
-        self._reader, self._shared = reader, shared
+    def __init__(self, reader: BagReader, transform: Transform, *, keep: bool, whole: set[int] | None) -> None:
+        self._reader, self._transform = reader, transform
         self._keep = keep
         self._whole = whole
         self._passed: set[int] = set()
@@ -218,13 +191,13 @@ class _Gatherer:
             raise LateTopic(min(late))
         whole |= changing
         for number in block.present() - whole:
-            if self._shared.may_move(self._reader.channels[number]):
+            if self._transform.may_move(self._reader.channels[number]):
                 self._passed.add(number)
 
     def _gather(self, block: Block, rows: NDArray[np.int64]) -> Place:
         """Append the records of some rows to the portion."""
         offsets = block.table["offset"][rows]
-        begins, ends = own_framing(block).begins(block.table)[rows], offsets + block.table["length"][rows]
+        begins, ends = block.raw.begins(block.table)[rows], offsets + block.table["length"][rows]
         lengths = ends - begins
         after = np.cumsum(lengths)
         table = block.table[rows].copy()
@@ -248,10 +221,7 @@ class _Gatherer:
             layout = target.layout
             places = np.searchsorted(rows, layout.rows)
             inside = layout.starts - block.table["offset"][layout.rows]
-            moved = Layout(
-                self._rows + places, starts[places] + inside, layout.items, layout.big_endian, layout.unsigned_seconds
-            )
-            here = target._replace(layout=moved)
+            here = target._replace(layout=layout._replace(rows=self._rows + places, starts=starts[places] + inside))
             known = self._portion.targets
             number = next((i for i, one in enumerate(known) if _alike(one, here)), None)
             if number is None:
@@ -259,7 +229,7 @@ class _Gatherer:
             else:
                 known[number] = _joined(known[number], here)
 
-    def done(self, shared: SharedTransform) -> Portion:
+    def done(self, shared: SharedRun) -> Portion:
         """Return the portion, and start the next one."""
         portion = self._portion
         portion.growth, shared.growth = shared.growth, []
@@ -275,16 +245,13 @@ def _alike(one: Target, other: Target) -> bool:
     return (
         one.channel.id == other.channel.id
         and one.side == other.side
-        and (a.big_endian, a.unsigned_seconds) == (b.big_endian, b.unsigned_seconds)
+        and (a.order, a.unsigned_seconds) == (b.order, b.unsigned_seconds)
         and one.item == other.item
     )
 
 
 def _joined(one: Target, other: Target) -> Target:
     a, b = one.layout, other.layout
-    layout = Layout(
-        np.concatenate((a.rows, b.rows)), np.concatenate((a.starts, b.starts)), a.items, a.big_endian,
-        a.unsigned_seconds,
-    )  # fmt: skip
+    layout = a._replace(rows=np.concatenate((a.rows, b.rows)), starts=np.concatenate((a.starts, b.starts)))
     stamps_ns, time_ns = (np.concatenate(pair) for pair in zip(one[4:6], other[4:6], strict=True))
     return one._replace(layout=layout, stamps_ns=stamps_ns, time_ns=time_ns)

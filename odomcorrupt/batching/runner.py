@@ -9,25 +9,22 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from odomcorrupt.bags.block import Block
+from odomcorrupt.bags.block import Block, ReaderView
 from odomcorrupt.bags.open import Form, Target, open_reader
 from odomcorrupt.bags.output import beside, place, remove
 from odomcorrupt.bags.pipeline import Workers, default_threads
 from odomcorrupt.batching.job import Task
 from odomcorrupt.batching.manifest import content_of, note, read_records
 from odomcorrupt.batching.parameter_draws import drawn_values
-from odomcorrupt.batching.patch_batch import LateTopic, SharedTransform, portions
+from odomcorrupt.batching.patch_batch import LateTopic, SharedRun, portions
 from odomcorrupt.batching.sinks import BagSink, FullSink, MultiSink, OverlaySink, TumSink
-from odomcorrupt.corruption.correction import Curve
 from odomcorrupt.corruption.inverse import SystematicEffects, changes_nothing
-from odomcorrupt.corruption.patch import Patcher
-from odomcorrupt.corruption.path import MARKS_M, DriftMeter, NoisyPath
+from odomcorrupt.corruption.path import MARKS_M
 from odomcorrupt.corruption.run import corrupt_bag
-from odomcorrupt.corruption.transform import CorrectionEdge
+from odomcorrupt.corruption.transform import CorrectionEdge, Run, Transform
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.model.model_file import format_model
 from odomcorrupt.result_files import write_bytes
-from odomcorrupt.sensors.noise import SensorNoise
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterable, Iterator, Sequence
@@ -38,8 +35,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader, Message
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.patch_batch import Portion
-    from odomcorrupt.batching.sinks import Sink
-    from odomcorrupt.corruption.path import PathSamples, PathSource, PathWatcher
+    from odomcorrupt.corruption.path import PathSamples, PathWatcher
     from odomcorrupt.corruption.reorder import Arrivals
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.forecasting.forecast import CleanDrive
@@ -79,71 +75,40 @@ def _error(samples: PathSamples, i: int) -> tuple[float, float, float]:
     return x, y, turn
 
 
-class RunState:
-    """One run of a batch, over a bag that is read once for many runs.
+class RunState(Run):
+    """One run of a batch, over a bag that is read once for many runs; parameters as of `Run`.
 
-    path : corrupted path, instead of the noisy path that the model draws
-    systematic : the model's systematic effects, shared with the other runs of the same model
-    drift, marks : meters of its error
+    marks : meter of its error along the path
     """
 
     def __init__(
-        self,
-        model: MotionModel,
-        seed: int,
-        run: int,
-        options: Options,
-        watchers: Iterable[PathWatcher] = (),
-        *,
-        path: PathSource | None = None,
-        systematic: SystematicEffects | None = None,
-    ) -> None:
-        self.model = model
-        self.run = run
-        self.drift = DriftMeter()
-        self.marks = MarkMeter()
-        self._watchers: list[PathWatcher] = [self.drift, self.marks, *watchers]
-        self._path: PathSource = NoisyPath(model, seed, run, systematic=systematic) if path is None else path
-        self._curve = Curve(subtracted=options.subtracted, consistent=options.consistent)
-        self._new_frame = options.new_odom_frame is not None
-        self._patcher = Patcher(
-            model,
-            SensorNoise(*options[-3:], seed, run),
-            keep_twist=options.keep_twist,
-            keep_covariance=options.keep_covariance,
-        )
+        self, model: MotionModel, seed: int, run: int, options: Options, watchers: Iterable[PathWatcher] = (),
+        **given: Any,
+    ) -> None:  # fmt: skip
+        self.model, self.number, self.marks = model, run, MarkMeter()
+        super().__init__(model, seed, run, options, (self.marks, *watchers), **given)
 
     def grow(self, parts: Iterable[Arrivals | None]) -> None:
         """Draw the next parts of the path; None marks a restart of time."""
         for part in parts:
             if part is None:
-                self._path.restart()
-                self._curve.restart()
+                self.restart()
             else:
-                samples = self._path.feed(part.stamps_ns, part.xyt)
-                self._curve.extend(samples, part.time_ns)
-            for watcher in self._watchers:
-                if part is None:
-                    watcher.restart()
-                else:
-                    watcher.add(samples)
+                self.extend(part)
 
-    def edges(self, portion: Portion, edge: CorrectionEdge, odom: str) -> list[list[Message]]:
+    def edges(self, portion: Portion, odom: str) -> list[list[Message]]:
         """Return, for each block of a portion, the transforms with this run's correction."""
         found = []
         for block, targets in zip(portion.blocks, portion.own_targets, strict=True):
             beside = Block(block.data, block.table)
-            edge.add(beside, [one for one in targets if one.follows is None], self._curve, odom)
+            self.publish(beside, [one for one in targets if one.follows is None], odom)
             found.append(beside.added)
         return found
 
     def patched(self, portion: Portion) -> NDArray[np.uint8]:
         """Return a portion's data (size,) with this run's correction applied to its targets."""
-        self._curve.forget(portion.oldest_ns)
         block = Block(portion.data.copy(), portion.table)
-        if not self._new_frame:
-            self._patcher.patch(block, portion.targets, self._curve, portion.first_ns)
-        self._patcher.add_noise(block, portion.targets)
+        self.apply(block, portion.targets, portion.first_ns)
         return block.data
 
 
@@ -155,15 +120,12 @@ ProgressCallback: TypeAlias = "Callable[[float | None, float], None]"
 """Takes the part of the bag's bytes read, 0 to 1 or None where unknown, and the seconds of recorded time."""
 
 
-class Watched:
-    """A reader that reports progress; otherwise equal to the given reader."""
+class Watched(ReaderView):
+    """A reader that reports progress."""
 
     def __init__(self, reader: BagReader, beat: ProgressCallback) -> None:
-        self._reader = reader
+        super().__init__(reader)
         self._beat = beat
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._reader, name)
 
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
         """Yield the reader's blocks."""
@@ -254,13 +216,14 @@ def _make_staged(task: Task, whole: set[int], part: Callable[[BagReader], Any]) 
 
 def _make(
     task: Task, room: Path, whole: set[int], stack: ExitStack, output: Target, part: BagReader, workers: Workers
-) -> list[tuple[dict[str, Any], Sink | None]]:
+) -> list[tuple[dict[str, Any], BagSink | TumSink | None]]:
     """Make the runs in a folder; return the record of each, and its output, None where the bag is copied unchanged."""
     job = replace(task.job, directory=room)
     home = task.job.directory
     batch = job.batch
-    shared = SharedTransform(job.model.identity, batch.options)
-    shared.odometry.prepare(output.reader, output.reader.name)
+    shared = SharedRun(job.model.identity, batch.options)
+    transform = Transform(job.model.identity, 0, 0, batch.options, shared=shared)
+    transform.odometry.prepare(output.reader, output.reader.name)
     sink, drive = _sinks(job, output, workers), _drive(job)
     systematic = None if job.spreads else SystematicEffects(job.model)
     runs = [_begin(job, run, output, sink, drive, systematic) for run in task.runs]
@@ -274,29 +237,28 @@ def _make(
     keep, paths = batch.output == "full", batch.output == "trajectories"
     writers = [one.sink.writer for one in every if keep and isinstance(one.sink, BagSink)]
     fan: Any = MultiSink(writers)
-    for portion in portions(shared, part, keep=keep, whole=None if keep or paths else whole, writer=fan):
+    whole_topics = None if keep or paths else whole
+    for portion in portions(transform, shared, part, keep=keep, whole=whole_topics, writer=fan):
         for one in every:
-            one.strand.grow(portion.growth)
-            data = one.strand.patched(portion) if one.patches and portion.targets else portion.data
+            one.state.grow(portion.growth)
+            data = one.state.patched(portion) if one.patches and portion.targets else portion.data
             if one.sink is not None:
-                frames = shared.odometry.frames if one.edge is not None else None
-                edges = frames and one.edge and one.strand.edges(portion, one.edge, frames.odom)
-                one.sink.write(portion, data, edges or None)
-    shared.require_source()
+                frames = transform.odometry.frames if one.state.edge is not None else None
+                one.sink.write(portion, data, None if frames is None else one.state.edges(portion, frames.odom))
+    transform.require_source()
     for one in runs:
         _put_beside(job, home, one)
-    frame = "" if shared.odometry.frames is None else shared.odometry.frames.odom
-    return [(_record(job, one.strand, part.losses, frame), one.sink) for one in runs]
+    frame = "" if transform.odometry.frames is None else transform.odometry.frames.odom
+    return [(_record(job, one.state, part.losses, frame), one.sink) for one in runs]
 
 
 @dataclass(frozen=True, slots=True)
 class _Run:
     """A run being made; its sink is None where the bag is copied unchanged."""
 
-    strand: RunState
-    sink: Sink | None
+    state: RunState
+    sink: BagSink | TumSink | None
     patches: bool
-    edge: CorrectionEdge | None = None
 
 
 def _drive(job: Job) -> CleanDrive | None:
@@ -333,22 +295,22 @@ def _begin(
     within = None if batch.condition is None else batch.condition.path(model, batch.seed, run, drive)
     tum = TumSink(job.path_of(run), model) if batch.output == "trajectories" else None
     watchers = [] if tum is None else [tum]
-    strand = RunState(model, batch.seed, run, batch.options, watchers, path=within, systematic=systematic)
+    state = RunState(model, batch.seed, run, batch.options, watchers, path=within, systematic=systematic)
     if tum is not None:
-        return _Run(strand, tum, patches=False)
+        return _Run(state, tum, patches=False)
     if batch.output == "overlay":
-        return _Run(strand, sink_of(run), patches=True)
+        return _Run(state, sink_of(run), patches=True)
     if batch.also or (changes_nothing(model) and not batch.options.degrades):  # written by itself, or the file copied
-        return _Run(strand, None, patches=False)
+        return _Run(state, None, patches=False)
     sink = sink_of(run)
-    frame = batch.options.new_odom_frame
-    edge = None if frame is None else CorrectionEdge(frame, output.reader, sink.writer)
-    return _Run(strand, sink, patches=True, edge=edge)
+    if batch.options.new_odom_frame is not None:
+        state.edge = CorrectionEdge(batch.options.new_odom_frame, output.reader, sink.writer)
+    return _Run(state, sink, patches=True)
 
 
 def _put_beside(job: Job, home: Path, one: _Run) -> None:
     """Write a copy of the bag where nothing changes, and the model file of a run with drawn parameters."""
-    run, model = one.strand.run, one.strand.model
+    run, model = one.state.number, one.state.model
     if one.sink is None:
         batch = job.batch
         container = replace(batch.container, overwrite=True)
@@ -361,25 +323,25 @@ def _put_beside(job: Job, home: Path, one: _Run) -> None:
         write_bytes(home / job.robot_of(run), format_model(model).encode())
 
 
-def _record(job: Job, strand: RunState, losses: Sequence[str], frame: str) -> dict[str, Any]:
-    drift = strand.drift.result()
+def _record(job: Job, state: RunState, losses: Sequence[str], frame: str) -> dict[str, Any]:
+    drift = state.drift.result()
     assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
     record: dict[str, Any] = {
-        "run": strand.run,
-        "file": job.name_of(strand.run),
-        "command": job.command_of(strand.run),
+        "run": state.number,
+        "file": job.name_of(state.number),
+        "command": job.command_of(state.number),
         "input": job.shown_source,
         "seed": job.batch.seed,
         "odom_frame": frame,
     }
     if job.spreads:
-        record["robot"] = job.robot_of(strand.run)
-        record["drawn"] = drawn_values(strand.model, job.spreads)
+        record["robot"] = job.robot_of(state.number)
+        record["drawn"] = drawn_values(state.model, job.spreads)
     record["drift"] = {key: value for key, value in drift._asdict().items() if value is not None}
-    events = [(one.name, one.window_s) for one in strand.model.effects if one.window_s is not None and one.acts]
+    events = [(one.name, one.window_s) for one in state.model.effects if one.window_s is not None and one.acts]
     if events:
         record["events"] = [{"effect": name, "from_s": w[0], "to_s": w[1]} for name, w in events]
     if losses:
         record["losses"] = list(losses)
-    record["errors"] = [list(np.round(mark, 9).tolist()) for mark in strand.marks.result()]
+    record["errors"] = [list(np.round(mark, 9).tolist()) for mark in state.marks.result()]
     return record

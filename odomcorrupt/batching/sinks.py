@@ -6,18 +6,17 @@ import io
 import zipfile
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
-import odomcorrupt
-from odomcorrupt.bags.block import Block, Message, PartFraming
+from odomcorrupt.bags.block import BARE, Block, Message
 from odomcorrupt.bags.mcap.chunk import McapFraming
-from odomcorrupt.bags.mcap.writer import McapWriter, ReframedReader
+from odomcorrupt.bags.mcap.writer import McapWriter
 from odomcorrupt.bags.output import Output, OutputContext
+from odomcorrupt.corruption.run import provenance
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
 from odomcorrupt.input_files import open_input
-from odomcorrupt.model.model_file import format_model
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -137,33 +136,6 @@ class _OutputStream(io.RawIOBase):
 Added = list[list[Message]] | None
 
 
-class Sink(Protocol):
-    """The output of one run; it appears when its context ends without an error."""
-
-    @property
-    def crc(self) -> int | None:
-        """CRC-32 of its file after the context's end; None if it was not computed while it was written."""
-
-    def write(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
-        """Write a portion, given its data (size,) as patched by the run.
-
-        added : for each block, messages of this run alone, appended after those of all runs
-        """
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
-
-
-def provenance(job: Job, run: int) -> dict[str, str]:
-    """Return the metadata of a run's bag: seed, run, version, model."""
-    model = format_model(job.model_of(run))
-    own = {"version": odomcorrupt.__version__, "seed": str(job.batch.seed), "run": str(run), "model": model}
-    return own if job.batch.condition is None else own | job.batch.condition.provenance()
-
-
 class BagSink(ABC):
     """A run written as a bag, with its model in the metadata where the format has any."""
 
@@ -178,12 +150,15 @@ class BagSink(ABC):
 
     @property
     def crc(self) -> int | None:
-        """CRC-32 of the bag's file, see `Sink.crc`; None for a directory, sqlite3 and ROS 1."""
+        """CRC-32 of the bag's file after the context's end; None for a directory, sqlite3 and ROS 1."""
         return self._writer.crc if isinstance(self._writer, OutputContext) else None
 
     @abstractmethod
     def write(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
-        """Write a portion, see `Sink.write`."""
+        """Write a portion, given its data (size,) as patched by the run.
+
+        added : for each block, messages of this run alone, appended after those of all runs
+        """
 
     def __enter__(self) -> Self:
         self._writer.__enter__()
@@ -194,7 +169,10 @@ class BagSink(ABC):
     ) -> None:
         if kind is None:
             try:
-                self._writer.provenance("odomcorrupt", provenance(self._job, self._run))
+                batch = self._job.batch
+                own = provenance(self._job.model_of(self._run), seed=batch.seed, run=self._run)
+                within = {} if batch.condition is None else batch.condition.provenance()
+                self._writer.provenance("odomcorrupt", own | within)
             except BaseException as failed:
                 self._writer.__exit__(type(failed), failed, failed.__traceback__)
                 raise
@@ -243,20 +221,13 @@ class OverlaySink(BagSink):
 
     def __init__(self, job: Job, run: int, reader: BagReader) -> None:
         c = job.batch.container
-        foreign: Any = ReframedReader(reader)
         codec = None if c.compression in ("bz2", "file", "message") else c.compression
         output = Output(job.path_of(run), overwrite=True)
-        super().__init__(job, run, McapWriter(output, foreign, codec, c.level, whole=False))
-        self._native = _is_mcap(reader)
+        super().__init__(job, run, McapWriter(output, reader, codec, c.level, native=False, whole=False))
+        # blocks hold the records of an MCAP, which bare messages decompressed one by one are not
+        self._native = reader.kind == "mcap" and getattr(reader, "mode", "none") != "message"
 
     def write(self, portion: Portion, data: NDArray[np.uint8], _added: Added = None) -> None:
         """Write the changed topics."""
         if len(portion.table):
-            raw = McapFraming("chunk", "zstd") if self._native else None
-            own = Block(data, portion.table, raw)
-            self._writer.write(Block(data, portion.table, PartFraming(0, own)))
-
-
-def _is_mcap(reader: BagReader) -> bool:
-    """Whether blocks hold the records of an MCAP, which bare messages decompressed one by one are not."""
-    return reader.kind == "mcap" and getattr(reader, "mode", "none") != "message"
+            self._writer.write(Block(data, portion.table, McapFraming() if self._native else BARE))

@@ -6,10 +6,11 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from mcap.opcode import Opcode as Op
 
-from odomcorrupt.bags.block import TABLE, Block, PartFraming, without
+from odomcorrupt.bags.block import Block, ReaderView, without
 from odomcorrupt.bags.codecs import compress_for_ros1
-from odomcorrupt.bags.mcap.chunk import RECORD_HEADER_BYTES, McapFraming, Op
+from odomcorrupt.bags.mcap.chunk import RECORD_HEADER_BYTES, McapFraming
 from odomcorrupt.bags.mcap.writer import McapWriter, Packed, packed
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.bags.provenance import mapping_of
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import BagReader, Message
+    from odomcorrupt.bags.block import BagReader, Framing, Message
     from odomcorrupt.bags.open import Target
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.patch_batch import Place, Portion
@@ -97,7 +98,7 @@ class SplitSink(BagSink):
         """Write the unchanged messages, then the changed and added ones."""
         blocks = self._rests.of(portion)
         first_row = first_byte = 0
-        for _, numbers in groupby(range(len(blocks)), lambda number: _part(portion.blocks[number])):
+        for _, numbers in groupby(range(len(blocks)), lambda number: portion.blocks[number].part):
             own = list(numbers)
             for number in own:
                 self._writer.write(blocks[number])
@@ -129,17 +130,10 @@ def _changed(
     if isinstance(first.raw, Ros1Framing):
         starts = np.concatenate([mine for _, place in held for _, _, mine in place.moves])
         starts.sort()
-        return Block(data, table, Ros1Framing(first.raw.codec, starts - span.start), added)
-    if not isinstance(first.raw, PartFraming):
-        return Block(data, table, McapFraming("chunk", first.raw.codec), added)
-    theirs = np.concatenate([np.empty(0, dtype=TABLE), *(b.raw.own.table[place.rows] for b, place in held)])
-    theirs["offset"] = table["offset"]
-    chunk = Block(data, theirs, McapFraming("chunk", first.raw.own.raw.codec))
-    return Block(data, table, PartFraming(first.raw.part, chunk), added)
-
-
-def _part(block: Block) -> int:
-    return block.raw.part if isinstance(block.raw, PartFraming) else 0
+        raw: Framing = Ros1Framing(first.raw.codec, starts - span.start)
+    else:
+        raw = McapFraming(first.raw.codec)
+    return Block(data, table, raw, added, part=first.part)
 
 
 def assemble(overlay: Path, source: Path, target: Path, container: BagContainer) -> int:
@@ -175,18 +169,16 @@ def assemble(overlay: Path, source: Path, target: Path, container: BagContainer)
     return merged.replaced
 
 
-class _Merged:
-    """The original with the overlay's messages in place of its own; otherwise equal to its reader.
+class _Merged(ReaderView):
+    """The original with the overlay's messages in place of its own.
 
     replaced : number of replaced messages
     """
 
     def __init__(self, reader: BagReader, wanted: set[int], stream: _Messages, source: Path) -> None:
-        self._reader, self._wanted, self._stream, self._source = reader, wanted, stream, source
+        super().__init__(reader)
+        self._wanted, self._stream, self._source = wanted, stream, source
         self.replaced = 0
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._reader, name)
 
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
         """Yield the blocks with the overlay's messages."""

@@ -164,11 +164,6 @@ class Curve:
         self._count = 0
         self._open = False
 
-    @property
-    def known_until_ns(self) -> int | None:
-        """Last stamp of the current stretch; None while it is empty."""
-        return int(self._stretches[-1].stamps_ns[-1]) if self._open else None
-
     def restart(self) -> None:
         """End the current stretch."""
         self._open = False

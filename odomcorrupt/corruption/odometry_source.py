@@ -314,9 +314,14 @@ class OdometrySource:
                 self._edges |= {f"{plain(item.frame_id)} -> {plain(item.child_frame_id)}" for item in layout.items}
                 asked = plain(self._asked or channel.topic) == plain(channel.topic)
                 asked &= not self._node or self._node_of(channel) == self._node
-                items = [(number, item) for number, item in enumerate(layout.items) if asked and self._is_edge(item)]
-                if items:
-                    self._require_tree(channel)
+                edges = [{plain(item.frame_id), plain(item.child_frame_id)} for item in layout.items] if asked else []
+                items = [(i, layout.items[i]) for i, edge in enumerate(edges) if edge == set(self.frames or ())]
+                if items and not self.shares_tree(channel):  # of several robots, with equal frames
+                    topics = ", ".join(sorted({*self._edge_topics, channel.topic}))
+                    raise TopicError(
+                        f"{self.name}: is on {topics}, of several robots; name one of these with --odom-topic"
+                    )
+                self._edge_topics |= {channel.topic} if items else set()
             else:
                 items = [(0, layout.items[0])] if self.is_odometry(channel) else []
             found += [(layout.rows, self._poses(block, layout, number, time_ns)) for number, _ in items]
@@ -341,21 +346,6 @@ class OdometrySource:
             asked = plain(self._asked)
             if any(channel.msgtype in TRANSFORMS and plain(channel.topic) == asked for channel, _ in parts):
                 self._use_edge()
-
-    def _require_tree(self, channel: Channel) -> None:
-        """Raise TopicError where the source's edge is in several TF trees: of several robots, with equal frames."""
-        if not self.shares_tree(channel):
-            topics = ", ".join(sorted({*self._edge_topics, channel.topic}))
-            raise TopicError(f"{self.name}: is on {topics}, of several robots; name one of these with --odom-topic")
-        self._edge_topics.add(channel.topic)
-
-    def _is_edge(self, item: Item) -> bool:
-        """Return whether a transform is the edge between odom and base, in either direction."""
-        frames = self.frames
-        if frames is None:
-            return False
-        ends = plain(item.frame_id), plain(item.child_frame_id)
-        return ends in {(frames.odom, frames.base), (frames.base, frames.odom)}
 
     def _poses(self, block: Block, layout: Layout, number: int, time_ns: NDArray[np.int64]) -> Arrivals:
         item = layout.items[number]

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.sensors.consistent import Relations
-    from odomcorrupt.sensors.noise import SensorNoise
 
 _LOSS = 0.3
 """Smallest motion that counts as a restored loss, as a fraction of the pose's: of both wheels, the pose stands; of one,
@@ -273,9 +272,8 @@ class Changes:
 class Patcher:
     """Applies the correction to messages, topic by topic."""
 
-    def __init__(self, model: MotionModel, noise: SensorNoise, *, keep_twist: bool, keep_covariance: bool) -> None:
-        self.changes = Changes(noisy=noise.counts)
-        self._noise = noise
+    def __init__(self, model: MotionModel, *, keep_twist: bool, keep_covariance: bool) -> None:
+        self.changes = Changes()
         self._clocks = tuple(e for e in model.effects if e.clock and e.acts)
         self._steps = model.setup.pose_corrections
         self._moves = not model.noise.coefficients.noise_free or any(e.acts for e in model.effects if not e.clock)
@@ -316,12 +314,6 @@ class Patcher:
         if self._moves:
             for topic, parts in odometry.items():
                 self._patch_odometry(block, topic, parts)
-
-    def add_noise(self, block: Block, targets: list[Target]) -> None:
-        """Add noise to the scans and IMUs among a block's targets in place."""
-        for target in targets:
-            if target.follows is not None:
-                self._noise.add(block, target.channel, target.layout, target.stamps_ns)
 
     def _patch_odometry(self, block: Block, topic: str, parts: list[tuple[Target, Correction]]) -> None:
         motions = []

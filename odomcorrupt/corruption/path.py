@@ -8,7 +8,7 @@ over from the batch before, and normals are drawn row by row, so any division in
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -189,17 +189,11 @@ class PathSource(Protocol):
         """Return clean and noisy samples at the next n stamps, from clean poses (n, 3)."""
 
 
-class Normals(Protocol):
-    """Source of standard normals: a NumPy generator, or one that replays given numbers."""
-
-    def standard_normal(self, size: tuple[int, int]) -> Array:
-        """Return standard normals (n, 4) for n increments: of rot1, trans, across, rot2."""
-
-
 class NoisyPath:
     """Noisy path of one run; after a restart of time a new path continues the same random streams.
 
-    normals : source of the noise's standard normals, instead of the run's own stream
+    normals : source of the noise's standard normals (n, 4): of rot1, trans, across, rot2; instead of the run's own
+        stream, something with `standard_normal(size)`
     covariance : whether the samples carry the sums that covariances follow from, which takes 40 % of the time
     systematic : the model's systematic effects, shared with other runs of the same drive
     """
@@ -210,13 +204,13 @@ class NoisyPath:
         seed: int,
         run: int = 0,
         *,
-        normals: Normals | None = None,
+        normals: Any = None,
         covariance: bool = True,
         systematic: SystematicEffects | None = None,
     ) -> None:
         self._noise, self._law = model.noise, model.noise.law
         self._covariance = covariance
-        self._rng: Normals = stream(seed, run, "noise") if normals is None else normals
+        self._rng: Any = stream(seed, run, "noise") if normals is None else normals
         self._effects = EffectInverse(model, seed, run, systematic)
         self._random_covariance = RandomEffectCovariance()
         self.restart()

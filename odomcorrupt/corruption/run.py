@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.model.motion_model import MotionModel
 
-_PIECE_BYTES = 1 << 16
-
 
 def may_stay(source: Path | None, reader: BagReader, form: Form) -> bool:
     """Return whether an output may be a byte copy of its input: one file, or a pipe, and the same format.
@@ -112,7 +110,7 @@ def write_as_it_was(
         for block in blocks:
             watch(block)
         with nullcontext(bag) if isinstance(bag, TeeReader) else bag.open("rb") as rest:
-            while piece := rest.read(_PIECE_BYTES):
+            while piece := rest.read(1 << 16):
                 if rest is not bag:
                     output.write(piece)
         output.commit()
@@ -327,8 +325,9 @@ def _added(transform: Transform) -> Mapping[str, int]:
     added = {}
     if transform.truth is not None:
         added[f"messages of clean odometry on {transform.truth.topic}"] = transform.truth.count
-    if transform.edge is not None and transform.odometry.frames is not None:
-        added[f"transforms {transform.edge.frame} -> {transform.odometry.frames.odom}"] = transform.edge.count
+    edge = transform.run.edge
+    if edge is not None and transform.odometry.frames is not None:
+        added[f"transforms {edge.frame} -> {transform.odometry.frames.odom}"] = edge.count
     return added
 
 

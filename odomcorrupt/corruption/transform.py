@@ -6,9 +6,7 @@ is held, and counted. Decisions depend on stamps and log times, never on block b
 
 from __future__ import annotations
 
-import math
 import re
-import struct
 from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.bags.block import Message, joined
-from odomcorrupt.bags.messages import TRANSFORMS, locate, stamps_or_log_ns
+from odomcorrupt.bags.messages import TRANSFORMS, locate, pack_transform, stamps_or_log_ns
 from odomcorrupt.corruption.correction import PATIENCE_NS, Curve
 from odomcorrupt.corruption.odometry_source import (
     ENCODINGS,
@@ -41,14 +39,14 @@ from odomcorrupt.sensors.consistent import find_relations, timed
 from odomcorrupt.sensors.noise import SensorNoise
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, BagWriter, Block, Channel
     from odomcorrupt.bags.messages import Item, Layout
+    from odomcorrupt.corruption.inverse import SystematicEffects
     from odomcorrupt.corruption.odometry_source import Frames, Side
-    from odomcorrupt.corruption.patch import Changes
     from odomcorrupt.corruption.path import PathSource, PathWatcher
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
@@ -82,9 +80,8 @@ class TruthTopic:
         for target in targets:
             if self._channel is None:
                 self._channel = self.writer.add_channel(self.topic, ODOMETRY, target.channel)
-            for row in block.table[target.layout.rows]:
-                start, stop = int(row["offset"]), int(row["offset"]) + int(row["length"])
-                block.added.append(Message(self._channel.id, int(row["log_ns"]), block.data[start:stop].tobytes()))
+            for row in target.layout.rows.tolist():
+                block.added.append(Message(self._channel.id, int(block.table["log_ns"][row]), block.message(row)))
             self.count += len(target.layout.rows)
 
 
@@ -131,25 +128,6 @@ class CorrectionEdge:
         return self.writer.add_channel("/tf", TF, odometry)
 
 
-def pack_transform(encoding: str, stamp_ns: int, frames: tuple[str, str], xyt: tuple[float, float, float]) -> bytes:
-    """Return a TFMessage of one planar transform parent -> child, serialised as "ros1" or little-endian "cdr".
-
-    frames : parent and child
-    xyt : pose of the child in the parent, m, m, rad
-    """
-    x, y, turn = xyt
-    numbers = struct.pack("<7d", x, y, 0.0, 0.0, 0.0, math.sin(turn / 2.0), math.cos(turn / 2.0))
-    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
-    names = [frame.encode() for frame in frames]
-    if encoding == "ros1":
-        head = struct.pack("<IIII", 1, 0, seconds, nanoseconds)
-        return head + b"".join(struct.pack("<I", len(name)) + name for name in names) + numbers
-    out = bytearray(struct.pack("<IiI", 1, seconds, nanoseconds))
-    for name in names:
-        out += b"\0" * (-len(out) % 4) + struct.pack("<I", len(name) + 1) + name + b"\0"
-    return b"\0\1\0\0" + bytes(out) + b"\0" * (-len(out) % 8) + numbers
-
-
 WAIT_NS = PATIENCE_NS + WINDOW_NS
 """The longest that a block waits, log time."""
 
@@ -180,6 +158,71 @@ class Options(NamedTuple):
         return bool(self.scan_noise or self.scan_keep < 1.0 or self.imu is not None)
 
 
+class Run:
+    """One run over a bag: its path, the correction C(t), and the messages changed by it.
+
+    path : corrupted path, instead of the noisy path that the model draws
+    systematic : the model's systematic effects, shared with other runs of the same model
+    watchers : receive the path, too
+    drift : meter of its error
+    edge : TF edge that carries the correction, if one is published
+    known_until_ns : last stamp at which C(t) is known in the current stretch; None while it is empty
+    """
+
+    def __init__(
+        self,
+        model: MotionModel,
+        seed: int,
+        run: int,
+        options: Options,
+        watchers: Iterable[PathWatcher] = (),
+        *,
+        path: PathSource | None = None,
+        systematic: SystematicEffects | None = None,
+    ) -> None:
+        self.drift = DriftMeter()
+        self.watchers: list[PathWatcher] = [self.drift, *watchers]
+        self.curve = Curve(subtracted=options.subtracted, consistent=options.consistent)
+        self.noise = SensorNoise(*options[-3:], seed, run)
+        self.patcher = Patcher(model, keep_twist=options.keep_twist, keep_covariance=options.keep_covariance)
+        self.patcher.changes.noisy = self.noise.counts
+        self._path: PathSource = NoisyPath(model, seed, run, systematic=systematic) if path is None else path
+        self._moves = options.new_odom_frame is None
+        self.edge: CorrectionEdge | None = None
+        self.known_until_ns: int | None = None
+
+    def restart(self) -> None:
+        """Begin a new stretch: the stamps have jumped back."""
+        self.known_until_ns = None
+        self._path.restart()
+        self.curve.restart()
+        for watcher in self.watchers:
+            watcher.restart()
+
+    def extend(self, ordered: Arrivals) -> None:
+        """Draw the next part of the path."""
+        self.known_until_ns = int(ordered.stamps_ns[-1])
+        samples = self._path.feed(ordered.stamps_ns, ordered.xyt)
+        self.curve.extend(samples, ordered.time_ns)
+        for watcher in self.watchers:
+            watcher.add(samples)
+
+    def apply(self, block: Block, targets: list[Target], first_ns: int) -> None:
+        """Change the targets of a block in place; first_ns is the first stamp, the origin of clock effects."""
+        if targets:
+            self.curve.forget(int(min(target.time_ns[0] for target in targets)))
+        if self._moves:
+            self.patcher.patch(block, targets, self.curve, first_ns)
+        for target in targets:
+            if target.follows is not None:
+                self.noise.add(block, target.channel, target.layout, target.stamps_ns)
+
+    def publish(self, block: Block, driving: list[Target], odom: str) -> None:
+        """Add the transforms of the edge to a block, at the odometry's messages."""
+        if self.edge is not None:
+            self.edge.add(block, driving, self.curve, odom)
+
+
 @dataclass(slots=True, eq=False, repr=False)
 class _Held:
     block: Block
@@ -191,8 +234,8 @@ class _Held:
 class Transform:
     """One run of a model over a bag.
 
-    path : corrupted path, instead of the noisy path that the model draws
-
+    run : what is drawn, and applied to the messages; `shared` in place of one of its own
+    drift, watchers, changes : those of the run
     seen : channels that carried messages; placed : frames in which their data are given, see `frame_of`
     stayed : topics of the TF edges that are not moved; true_edges : those that contain the true motion
     frame_met : whether some odometry message or transform has the odom frame
@@ -206,13 +249,14 @@ class Transform:
         options: Options | None = None,
         *,
         path: PathSource | None = None,
+        shared: Run | None = None,
     ) -> None:
         self.options = Options() if options is None else options
         self.model = model
         self.seed = seed
+        self.run = Run(model, seed, run, self.options, path=path) if shared is None else shared
+        self.drift, self.watchers, self.changes = self.run.drift, self.run.watchers, self.run.patcher.changes
         self.order = TimeOrder()
-        self.drift = DriftMeter()
-        self.watchers: list[PathWatcher] = [self.drift]
         asked = self.options
         self.odometry = OdometrySource(asked.odom_topic, asked.odom_frame, asked.base_frame, model.odometry_topic)
         self.unusable = 0
@@ -222,14 +266,9 @@ class Transform:
         self.true_edges: set[str] = set()
         self.frame_met = False
         self.truth: TruthTopic | None = None
-        self.edge: CorrectionEdge | None = None
-        self._path: PathSource = NoisyPath(model, seed, run) if path is None else path
-        self._curve = Curve(subtracted=self.options.subtracted, consistent=self.options.consistent)
         self._follows: dict[int, Relations] = {}
         self._now_ns = -(2**62)
         self._first_ns: int | None = None
-        self._noise = SensorNoise(*asked[-3:], seed, run)
-        self._patcher = Patcher(model, self._noise, keep_twist=asked.keep_twist, keep_covariance=asked.keep_covariance)
 
     def require_source(self) -> None:
         """Raise TopicError where the requested frame is nowhere, or the poses read are not those of a planar robot."""
@@ -247,11 +286,6 @@ class Transform:
                 f"--odom-frame {asked}: no odometry message and no transform has this frame (TF has {found}); name "
                 "one that is there"
             )
-
-    @property
-    def changes(self) -> Changes:
-        """Counts of the messages changed so far."""
-        return self._patcher.changes
 
     def blocks(
         self, reader: BagReader, name: str, writer: BagWriter | None = None, before: Iterator[Block] | None = None
@@ -271,13 +305,13 @@ class Transform:
         if self.options.keep_truth is not None and writer is not None:
             self.truth = TruthTopic(self.options.keep_truth, reader, writer)
         if self.options.new_odom_frame is not None and writer is not None:
-            self.edge = CorrectionEdge(self.options.new_odom_frame, reader, writer)
+            self.run.edge = CorrectionEdge(self.options.new_odom_frame, reader, writer)
         if self.options.consistent:
             self._follows = self.relations(reader)
         waiting: deque[_Held] = deque()
         only = None
         # a transform of another robot behind this one changes sensors that this one does not know
-        whole = self.truth or self.edge or self.options.consistent
+        whole = self.truth or self.run.edge or self.options.consistent
         if writer is not None and writer.keeps_rest and (reader.kind == "sqlite3" or not whole):
             only = {
                 n for n, channel in reader.channels.items() if self.may_move(channel) or channel.msgtype in PLACED_TYPES
@@ -302,7 +336,7 @@ class Transform:
         return _has_poses(channel) or channel.id in self._follows or self._is_noisy(channel)
 
     def _is_noisy(self, channel: Channel) -> bool:
-        return channel.encoding in ENCODINGS and self._noise.concerns(channel.msgtype)
+        return channel.encoding in ENCODINGS and self.run.noise.concerns(channel.msgtype)
 
     def relations(self, reader: BagReader) -> dict[int, Relations]:
         """Return how other sensors follow the odometry, by channel id, from a pass over the bag.
@@ -359,25 +393,19 @@ class Transform:
             self._first_ns = int(new.stamps_ns[0])
         for ended in self.order.add(new):
             self._extend(ended)
-            self._path.restart()
-            self._curve.restart()
-            for watcher in self.watchers:
-                watcher.restart()
+            self.run.restart()
 
     def _extend(self, ordered: Arrivals) -> None:
         if len(ordered):
             self.odometry.faults.paths.take(ordered.xyt)
-            samples = self._path.feed(ordered.stamps_ns, ordered.xyt)
-            self._curve.extend(samples, ordered.time_ns)
-            for watcher in self.watchers:
-                watcher.add(samples)
+            self.run.extend(ordered)
 
     def _ready(self, held: _Held) -> bool:
         """Return whether C(t) at a block's messages is final."""
         age_ns = self._now_ns - (int(held.time_ns[-1]) if len(held.time_ns) else -(2**62))
         if age_ns >= WAIT_NS or not held.parts or (self.odometry.frames is not None and not self._targets(held)):
             return True
-        until_ns = self._curve.known_until_ns
+        until_ns = self.run.known_until_ns
         if until_ns is None:
             return False
         ahead_ns = until_ns - max((int(target.stamps_ns.max()) for target in self._targets(held)), default=until_ns)
@@ -438,17 +466,14 @@ class Transform:
         # all rows of the patched topics, although a patch may leave some of their bytes unchanged
         own = np.concatenate([np.empty(0, dtype=np.int64), *(target.layout.rows for target in targets)])
         held.block.changed = own if held.block.changed is None else np.union1d(held.block.changed, own)
-        if not targets or self._first_ns is None:
-            return held.block
-        self._curve.forget(int(min(target.time_ns[0] for target in targets)))
+        if self._first_ns is None:
+            targets = []
         driving = [target for target in targets if self.odometry.is_odometry(target.channel)]
         if self.truth is not None:
             self.truth.add(held.block, driving)
-        if self.options.new_odom_frame is None:
-            self._patcher.patch(held.block, targets, self._curve, self._first_ns)
-        elif self.edge is not None and self.odometry.frames is not None:
-            self.edge.add(held.block, driving, self._curve, self.odometry.frames.odom)
-        self._patcher.add_noise(held.block, targets)
+        self.run.apply(held.block, targets, self._first_ns or 0)
+        if self.odometry.frames is not None:
+            self.run.publish(held.block, driving, self.odometry.frames.odom)
         return held.block
 
 

@@ -6,8 +6,8 @@ from bagged import IMU, ODOM, TF, MemoryBag, blocks_of, driven, messages_of, pla
 from drives import model, office
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
-from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
-from odomcorrupt.corruption.transform import Options, Transform, pack_transform
+from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate, pack_transform
+from odomcorrupt.corruption.transform import Options, Transform
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import compose, inverse, wrap
 
@@ -89,7 +89,7 @@ def test_the_correction_as_a_transform_leaves_every_message_and_leads_to_the_sam
     assert np.array_equal(gather_stamps_ns(block, layout, item), DRIVE[0])
     noisy = planar(run(messages)[0], ODOM)
     assert_same(compose(planar([block], channel), DRIVE[1]), noisy)
-    assert transform.edge.count == len(noisy)
+    assert transform.run.edge.count == len(noisy)
 
 
 def test_the_correction_is_no_second_parent_of_odom():

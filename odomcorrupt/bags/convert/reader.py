@@ -55,7 +55,7 @@ def without_edges(data: bytes, channel: Channel, edges: frozenset[tuple[str, str
     kept = [one for one in template.items if (one.frame_id.lstrip("/"), one.child_frame_id.lstrip("/")) not in edges]
     if len(kept) == len(template.items):
         return data
-    ros1, order = channel.encoding == "ros1", ">" if template.big_endian else "<"
+    ros1, order = channel.encoding == "ros1", template.order
     # XCDR2 aligns numbers of eight bytes to four
     short, long = (1, 1) if ros1 else (4, 8 if data[1] <= 1 else 4)
     body = bytearray(struct.pack(order + "I", len(kept)))

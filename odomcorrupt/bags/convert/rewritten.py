@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
-from odomcorrupt.bags.block import TABLE, Block, Channel, Kind, PartFraming, Unframed, joined
+from odomcorrupt.bags.block import TABLE, Block, Channel, Framing, Kind, joined
 from odomcorrupt.bags.record_reader import loss_of
 from odomcorrupt.errors import BagError
 
@@ -88,10 +88,8 @@ class RewrittenReader:
         return None if rule is None else rule.channel.id
 
     def _rewritten(self, block: Block, wanted: Container[int] | None) -> Block:
-        framing = block.raw.own.raw if isinstance(block.raw, PartFraming) else block.raw
         if not len(block.table):
-            # attachments and metadata of an MCAP
-            return Block(block.data, block.table, framing)
+            return Block(block.data, block.table, block.raw)  # attachments and metadata of an MCAP
         view = block.data.data
         pieces: list[bytes | memoryview] = []
         rows: list[tuple[int, int, int, int]] = []
@@ -122,8 +120,8 @@ class RewrittenReader:
         self.count += len(rows)
         data = np.frombuffer(bytearray().join(pieces), dtype=np.uint8)
         inner = tuple(sorted({end for end in ends if 0 < end < at}))
-        codec = getattr(framing, "codec", "zstd")
-        return Block(data, np.array(rows, dtype=TABLE), Unframed(codec), ends=(*inner, at) if inner else ())
+        table = np.array(rows, dtype=TABLE)
+        return Block(data, table, Framing(block.raw.codec), ends=(*inner, at) if inner else ())
 
     def __enter__(self) -> Self:
         return self

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
+from mcap.opcode import Opcode as Op
 
 from odomcorrupt.bags.block import TABLE, Block, Framing
 from odomcorrupt.bags.checksum import crc32
@@ -19,26 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.source import Source
-
-
-class Op:
-    """Kinds of records."""
-
-    HEADER: Final = 0x01
-    FOOTER: Final = 0x02
-    SCHEMA: Final = 0x03
-    CHANNEL: Final = 0x04
-    MESSAGE: Final = 0x05
-    CHUNK: Final = 0x06
-    MESSAGE_INDEX: Final = 0x07
-    CHUNK_INDEX: Final = 0x08
-    ATTACHMENT: Final = 0x09
-    ATTACHMENT_INDEX: Final = 0x0A
-    STATISTICS: Final = 0x0B
-    METADATA: Final = 0x0C
-    METADATA_INDEX: Final = 0x0D
-    SUMMARY_OFFSET: Final = 0x0E
-    DATA_END: Final = 0x0F
 
 
 RECORD_HEADER_BYTES: Final = 9
@@ -232,7 +213,7 @@ def _walk(data: memoryview, begin: int, end: int, what: str) -> tuple[list[int],
     """Parse record by record; return the offsets of messages, and the other records."""
     starts: list[int] = []
     others: list[Record] = []
-    at = begin
+    at, message = begin, int(Op.MESSAGE)
     while at < end:
         if data[at] == 0 or len(starts) + len(others) >= MOST_RECORDS:
             raise BagError(
@@ -241,12 +222,12 @@ def _walk(data: memoryview, begin: int, end: int, what: str) -> tuple[list[int],
             )
         content = at + RECORD_HEADER_BYTES
         after = content + int.from_bytes(data[at + 1 : content], "little")
-        if content > end or after > end or (data[at] == Op.MESSAGE and after < at + MESSAGE_HEADER_BYTES):
+        if content > end or after > end or (data[at] == message and after < at + MESSAGE_HEADER_BYTES):
             raise BagError(
                 f"{what}: the record at byte {at} of the chunk does not fit its {end} bytes; the bag is damaged, "
                 "--recover saves the intact part"
             )
-        if data[at] == Op.MESSAGE:
+        if data[at] == message:
             starts.append(at)
         else:
             others.append(Record(data[at], content, after))
@@ -278,12 +259,10 @@ class McapFraming(Framing):
     """Framing of a block in its file.
 
     kind : "chunk"; "loose", messages outside chunks; "record", another record or a piece of a large one
-    codec : of a chunk
     opcode : of a record, 0 for the later pieces of one
     """
 
-    kind: Literal["chunk", "loose", "record"]
-    codec: str = "none"
+    kind: Literal["chunk", "loose", "record"] = "chunk"
     opcode: int = 0
 
     def begins(self, table: NDArray[np.void]) -> NDArray[np.int64]:
@@ -294,31 +273,6 @@ class McapFraming(Framing):
     def goes_on_with(self, other: object) -> bool:
         """Return whether both are chunks of one compression."""
         return self.kind == "chunk" and self == other
-
-
-class Loose:
-    """Messages, schemas and channels outside chunks, collected for a block."""
-
-    def __init__(self) -> None:
-        self.data = bytearray()
-        self.others: list[tuple[int, bytes]] = []
-        self._rows: list[tuple[int, int, int, int]] = []
-
-    def append(self, opcode: int, content: bytes, what: str) -> None:
-        """Append a record."""
-        self.data += struct.pack("<BQ", opcode, len(content))
-        if opcode != Op.MESSAGE:
-            self.others.append((opcode, content))
-        elif len(content) < 22:
-            raise BagError(f"{what}: a message record of {len(content)} bytes is shorter than its fields; damaged bag")
-        else:
-            channel, log_ns = struct.unpack_from("<H4xq", content)
-            self._rows.append((channel, log_ns, len(self.data) + 22, len(content) - 22))
-        self.data += content
-
-    def block(self) -> Block:
-        """Return the collected records as a block."""
-        return Block(np.frombuffer(self.data, np.uint8), np.array(self._rows, dtype=TABLE), McapFraming("loose"))
 
 
 def read_chunk_head(source: Source, length: int, what: str) -> ChunkHead:
@@ -362,7 +316,7 @@ def read_pieces(source: Source, opcode: int, length: int, what: str, summed: int
         stated += bytes(content.data[covered : covered + 4 - len(stated)])
         left -= content.size
         data = np.concatenate([np.frombuffer(head, dtype=np.uint8), content])
-        yield Block(data, np.empty(0, dtype=TABLE), McapFraming("record", opcode=opcode if head else 0))
+        yield Block(data, np.empty(0, dtype=TABLE), McapFraming("none", "record", opcode if head else 0))
         head = b""
     if summed and int.from_bytes(stated, "little") not in (0, crc):
         raise BagError(f"{source.name}: {what}: the attachment's checksum does not match its bytes; damaged bag")

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import struct
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from mcap.opcode import Opcode as Op
 
-from odomcorrupt.bags.block import Block, Channel, Definition, without
+from odomcorrupt.bags.block import Block, Channel, Definition
 from odomcorrupt.bags.checksum import combined, crc32
-from odomcorrupt.bags.chunk import MOST_RECORDS, Chunk, beginning_of_chunk, read_chunks
+from odomcorrupt.bags.chunk import BATCH_BYTES, MOST_RECORDS, Chunk, beginning_of_chunk, read_chunks
 from odomcorrupt.bags.mcap.chunk import (
     CODECS,
     MESSAGE_HEADER_BYTES,
     RECORD_HEADER_BYTES,
     ChannelRecord,
     Fields,
-    Loose,
     McapFraming,
-    Op,
     SchemaRecord,
     read_chunk_head,
     read_contents,
@@ -29,7 +28,7 @@ from odomcorrupt.bags.mcap.chunk import (
     record_bytes,
     string,
 )
-from odomcorrupt.bags.record_reader import RecordReader
+from odomcorrupt.bags.record_reader import WINDOW_BYTES, RecordReader
 from odomcorrupt.bags.source import MCAP as MAGIC
 from odomcorrupt.bags.source import ZSTD
 from odomcorrupt.errors import BagError
@@ -41,11 +40,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import Kind
-    from odomcorrupt.bags.mcap.chunk import Record
     from odomcorrupt.bags.source import Source
 
 
-_WINDOW_BYTES = 1 << 20
 _LOOK_BYTES = 256
 _FARTHEST = 10
 """Number of following records examined to accept one."""
@@ -174,9 +171,9 @@ def _found(source: Source, begin: int, end: int, kinds: Container[int]) -> Itera
     """Yield start and stated end of plausible records of some kinds between bytes `begin` and `end`."""
     while begin < end:
         source.seek(begin)
-        window = source.sniff(_WINDOW_BYTES + _LOOK_BYTES)
+        window = source.sniff(WINDOW_BYTES + _LOOK_BYTES)
         data, left = np.frombuffer(window, dtype=np.uint8), _left(source)
-        count = min(_WINDOW_BYTES, end - begin, data.size - RECORD_HEADER_BYTES + 1)
+        count = min(WINDOW_BYTES, end - begin, data.size - RECORD_HEADER_BYTES + 1)
         if count <= 0:
             return
         # lengths are less than 2^40, so three of their bytes are zero
@@ -184,7 +181,7 @@ def _found(source: Source, begin: int, end: int, kinds: Container[int]) -> Itera
         for at in np.flatnonzero(quiet & (data[:count] > 1) & (data[:count] <= Op.DATA_END)).tolist():
             if window[at] in kinds and _believable(window, at, left - at) and _chained(source, begin + at):
                 yield begin + at, begin + at + RECORD_HEADER_BYTES + int.from_bytes(window[at + 1 : at + 9], "little")
-        begin += _WINDOW_BYTES
+        begin += WINDOW_BYTES
 
 
 def _chained(source: Source, at: int) -> bool:
@@ -377,80 +374,6 @@ def _read_section(source: Source, footer: bytes, end: int) -> Summary:
     return summary
 
 
-class SchemaRegistry:
-    """Schemas and channels of a file or pipe, by id.
-
-    name : name of the file in error messages
-    """
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.schemas: dict[int, SchemaRecord] = {}
-        self.channels: dict[int, Channel] = {}
-
-    def register(self, opcode: int, content: bytes) -> None:
-        """Register a schema or channel; a repetition must be identical."""
-        if opcode == Op.SCHEMA:
-            schema = SchemaRecord.parse(content, self.name)
-            if self.schemas.setdefault(schema.id, schema) != schema:
-                raise BagError(f"{self.name}: schema {schema.id} is defined twice, differently; damaged bag")
-            return
-        channel = ChannelRecord.parse(content, self.name)
-        if channel.id in self.channels and self.channels[channel.id].raw != channel:
-            topics = f"{self.channels[channel.id].topic} and {channel.topic}"
-            raise BagError(f"{self.name}: channel {channel.id} is defined twice, differently ({topics}); damaged bag")
-        if channel.schema and channel.schema not in self.schemas:
-            raise BagError(
-                f"{self.name}: {channel.topic} has schema {channel.schema}, which is not defined; damaged bag"
-            )
-        name = self.schemas[channel.schema].name if channel.schema else ""
-        package, _, leaf = name.partition("/")
-        msgtype = f"{package}/msg/{leaf}" if leaf and "/" not in leaf else name
-        self.channels.setdefault(channel.id, Channel(channel.id, channel.topic, msgtype, channel.encoding, raw=channel))
-
-    def definition(self, channel: Channel) -> Definition:
-        """Return the file's definition of a channel's type."""
-        raw: ChannelRecord = channel.raw
-        schema = self.schemas.get(raw.schema, SchemaRecord(0, "", "", b""))
-        return Definition(schema.name, schema.encoding, schema.data, raw.metadata)
-
-    def block(self, part: Chunk | Loose) -> Block:
-        """Return a chunk, or messages outside chunks, as a block; BagError for a message of an unknown channel."""
-        if isinstance(part, Chunk):
-            contents = read_contents(part.data, part.indexes, part.what)
-            for other in contents.others:
-                self._learn_within(part.data, other)
-            block = Block(part.data, contents.table, McapFraming("chunk", part.codec))
-            what = part.what
-        else:
-            for opcode, content in part.others:
-                self.register(opcode, content)
-            block, what = part.block(), f"{self.name}: messages outside chunks"
-        unknown = block.present() - self.channels.keys()
-        if unknown:
-            raise BagError(f"{what}: messages of channel {min(unknown)}, which the bag does not define; damaged bag")
-        return block
-
-    def salvaged(self, part: Chunk | Loose) -> Block:
-        """Return the intact messages of a chunk, or of messages outside chunks."""
-        data = part.data if isinstance(part, Chunk) else np.frombuffer(part.data, dtype=np.uint8)
-        data = whole_records(data)
-        contents = read_contents(data, [], "")
-        for other in contents.others:
-            # An unreadable one matters only if messages use it.
-            with suppress(BagError):
-                self._learn_within(data, other)
-        framing = McapFraming("chunk", part.codec) if isinstance(part, Chunk) else McapFraming("loose")
-        unknown = np.array([number not in self.channels for number in contents.table["channel"].tolist()], dtype=bool)
-        return without(Block(data, contents.table, framing), unknown)
-
-    def _learn_within(self, data: NDArray[np.uint8], other: Record) -> None:
-        """Register a record in a chunk's data if it is a schema or channel."""
-        if other.opcode in (Op.SCHEMA, Op.CHANNEL):
-            self.register(other.opcode, data[other.start : other.end].tobytes())
-
-
-_BATCH_BYTES = 1 << 20
 _NAMES_BYTES = 1 << 16
 """How much of an attachment is looked at."""
 _LOOSE = (Op.MESSAGE, Op.SCHEMA, Op.CHANNEL)
@@ -472,9 +395,9 @@ class McapReader(RecordReader):
 
     def __init__(self, path: Path | None, source: Source, *, recover: bool = False) -> None:
         super().__init__(path, source, recover=recover)
-        self._registry = SchemaRegistry(self.name)
-        self.channels: Mapping[int, Channel] = self._registry.channels
-        self.schemas: Mapping[int, SchemaRecord] = self._registry.schemas
+        self._channels: dict[int, Channel] = {}
+        self.channels: Mapping[int, Channel] = self._channels
+        self.schemas: dict[int, SchemaRecord] = {}
         self.summary = Summary()
         try:
             self.header = self._read_header(source)
@@ -516,23 +439,44 @@ class McapReader(RecordReader):
 
     def definition(self, channel: Channel) -> Definition:
         """Return the file's definition of a channel's type."""
-        return self._registry.definition(channel)
+        raw: ChannelRecord = channel.raw
+        schema = self.schemas.get(raw.schema, SchemaRecord(0, "", "", b""))
+        return Definition(schema.name, schema.encoding, schema.data, raw.metadata)
 
-    def _parts(self, source: Source) -> Iterator[Chunk | Loose | Block]:
+    def _register(self, opcode: int, content: bytes) -> None:
+        """Register a schema or channel; a repetition must be identical."""
+        if opcode == Op.SCHEMA:
+            schema = SchemaRecord.parse(content, self.name)
+            if self.schemas.setdefault(schema.id, schema) != schema:
+                raise BagError(f"{self.name}: schema {schema.id} is defined twice, differently; damaged bag")
+            return
+        channel = ChannelRecord.parse(content, self.name)
+        if channel.id in self.channels and self.channels[channel.id].raw != channel:
+            topics = f"{self.channels[channel.id].topic} and {channel.topic}"
+            raise BagError(f"{self.name}: channel {channel.id} is defined twice, differently ({topics}); damaged bag")
+        if channel.schema and channel.schema not in self.schemas:
+            raise BagError(
+                f"{self.name}: {channel.topic} has schema {channel.schema}, which is not defined; damaged bag"
+            )
+        name = self.schemas[channel.schema].name if channel.schema else ""
+        package, _, leaf = name.partition("/")
+        msgtype = f"{package}/msg/{leaf}" if leaf and "/" not in leaf else name
+        known = Channel(channel.id, channel.topic, msgtype, channel.encoding, raw=channel)
+        self._channels.setdefault(channel.id, known)
+
+    def _parts(self, source: Source) -> Iterator[Chunk | Block]:
         """Yield chunks, collected messages outside chunks, and single records."""
         source.crc = 0
         source.summing = self.summary.has_data_crc and not self._recover
-        pending: Chunk | Loose | Block | None = None
+        pending: Chunk | Block | None = None
         for opcode, length, what in self._records(source):
             if pending and not _continues(pending, opcode):
                 done, pending = pending, None
                 yield done
             begin = source.position - RECORD_HEADER_BYTES
             try:
-                if opcode in _LOOSE and pending is None:
-                    pending = Loose()
-                if isinstance(pending, Chunk | Loose):
-                    pending.append(opcode, source.read(length, what), f"{self.name}: {what}")
+                if opcode == Op.MESSAGE_INDEX or opcode in _LOOSE:
+                    pending = self._collected(pending, opcode, source.read(length, what), what)
                     continue
                 for part in self._single(source, opcode, length, what):
                     if pending:
@@ -547,11 +491,23 @@ class McapReader(RecordReader):
         if pending:
             yield pending
 
-    def _single(self, source: Source, opcode: int, length: int, what: str) -> Iterator[Chunk | Block]:
-        """Yield a record that is not collected with others; the footer and indexes without chunks are skipped."""
+    def _collected(self, pending: Chunk | Block | None, opcode: int, content: bytes, what: str) -> Chunk | Block | None:
+        """Return a chunk with an index added, or records outside of chunks with another one."""
         if opcode == Op.MESSAGE_INDEX:
-            source.read(length, what)
-        elif opcode == Op.CHUNK and self._recover and source.position + length > (source.size or 0):
+            if isinstance(pending, Chunk):  # else there is no chunk for it
+                pending.indexes.append(content)
+            return pending
+        if opcode == Op.MESSAGE and len(content) < _SHORTEST_MESSAGE:
+            raise BagError(
+                f"{self.name}: {what}: a message record of {len(content)} bytes is shorter than its fields; damaged bag"
+            )
+        found = pending if isinstance(pending, Chunk) else Chunk.outside(f"{self.name}: messages outside chunks")
+        found.loose.extend(record(opcode, content))
+        return found
+
+    def _single(self, source: Source, opcode: int, length: int, what: str) -> Iterator[Chunk | Block]:
+        """Yield a record that is not collected with others; the footer is skipped."""
+        if opcode == Op.CHUNK and self._recover and source.position + length > (source.size or 0):
             self.losses.append(loss_of_cut_chunk(source, length, what))
             for chunk in beginning_of_chunk(source, read_chunk_head(source, length, what), record_bytes):
                 yield replace(chunk, data=whole_records(chunk.data))
@@ -647,14 +603,19 @@ class McapReader(RecordReader):
         except BagError as error:
             self._lose(error)
 
-    def _taken(self, part: Chunk | Loose | Block) -> Block:
+    def _taken(self, part: Chunk | Block) -> Block:
         return part if isinstance(part, Block) else self._finished(part)
 
-    def _block(self, part: Chunk | Loose) -> Block:
-        return self._registry.block(part)
+    def _block(self, data: NDArray[np.uint8], part: Chunk, *, salvage: bool = False) -> Block:
+        contents = read_contents(data, part.indexes, part.what)
+        for opcode, start, end in contents.others:
+            if opcode in (Op.SCHEMA, Op.CHANNEL):
+                # an unreadable one matters only if messages use it
+                with suppress(BagError) if salvage else nullcontext():
+                    self._register(opcode, data[start:end].tobytes())
+        return Block(data, contents.table, McapFraming(part.codec, "loose" if part.loose else "chunk"))
 
-    def _salvaged(self, part: Chunk | Loose) -> Block:
-        return self._registry.salvaged(part)
+    _whole_records = staticmethod(whole_records)
 
     def _read_end(self, source: Source) -> None:  # noqa: ARG002 - it is read with the data section
         self._learn_summary()
@@ -666,10 +627,10 @@ class McapReader(RecordReader):
     def _learn_summary(self) -> None:
         """Register the channels of the summary; those without a schema there are read from the data section."""
         for schema in self.summary.schemas:
-            self._registry.register(Op.SCHEMA, schema)
+            self._register(Op.SCHEMA, schema)
         for channel in self.summary.channels:
             if ChannelRecord.parse(channel, self.name).schema in (0, *self.schemas):
-                self._registry.register(Op.CHANNEL, channel)
+                self._register(Op.CHANNEL, channel)
 
     def _read_header(self, source: Source) -> bytes:
         if source.read(len(MAGIC), "magic") != MAGIC:
@@ -680,8 +641,10 @@ class McapReader(RecordReader):
         return source.read(length, "header")
 
 
-def _continues(pending: Chunk | Loose | Block, opcode: int) -> bool:
+def _continues(pending: Chunk | Block, opcode: int) -> bool:
     """Return whether a record belongs to the part being collected."""
-    if isinstance(pending, Chunk):
-        return opcode == Op.MESSAGE_INDEX
-    return isinstance(pending, Loose) and opcode in _LOOSE and len(pending.data) < _BATCH_BYTES
+    if isinstance(pending, Block):
+        return False
+    if pending.loose:
+        return opcode in _LOOSE and len(pending.loose) < BATCH_BYTES
+    return opcode == Op.MESSAGE_INDEX

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import groupby
+from itertools import groupby, zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from mcap.opcode import Opcode as Op
 
 from odomcorrupt import __version__
-from odomcorrupt.bags.block import TABLE, Channel, PartContents, PartFraming, require_all
-from odomcorrupt.bags.checksum import CAN_COMBINE, crc32
+from odomcorrupt.bags.block import TABLE, PartContents, require_all, with_ids
+from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.chunk import windows
 from odomcorrupt.bags.codecs import compress, require_level
-from odomcorrupt.bags.definition import retyped, with_common_text
+from odomcorrupt.bags.definition import LAST_ID, OutputChannels, retyped, with_common_text
 from odomcorrupt.bags.mcap.chunk import (
     CODECS,
     INDEX_ENTRY,
@@ -26,7 +28,6 @@ from odomcorrupt.bags.mcap.chunk import (
     ChannelRecord,
     Fields,
     McapFraming,
-    Op,
     SchemaRecord,
     chunk_head,
     mapping,
@@ -44,25 +45,23 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import BagReader, Block, Definition, Kind
+    from odomcorrupt.bags.block import BagReader, Block, Channel, Definition
     from odomcorrupt.bags.output import Original, Output
     from odomcorrupt.bags.pipeline import Workers
 
 
-_LAST_ID = 0xFFFF
 _LAST_FOREIGN_ID = 0xFFFFFFFF
 
 
-class ChannelTable:
+class ChannelTable(OutputChannels):
     """Ids and records of the channels and schemas of an output, and which of them are written.
 
-    Ids of an MCAP's own channels are kept. New ones count down from the last, since on a pipe channels yet to come
-    count up from the first.
+    native : the reader, if ids and records of its own channels are kept
     """
 
-    def __init__(self, reader: BagReader) -> None:
-        self._reader = reader
-        self._native = reader if isinstance(reader, McapReader) else None
+    def __init__(self, reader: BagReader, *, native: bool = True) -> None:
+        self.native = reader if native and isinstance(reader, McapReader) else None
+        super().__init__(reader, LAST_ID if self.native else _LAST_FOREIGN_ID)
         self._schemas: dict[int, SchemaRecord] = {}
         self._channels: dict[int, ChannelRecord] = {}
         self._ids: dict[int, int] = {}
@@ -70,39 +69,26 @@ class ChannelTable:
 
     def header(self) -> bytes:
         """Return the content of the header record: the input's, or a new one with its profile."""
-        if self._native:
-            return self._native.header
-        return string("ros1" if self._reader.kind == "ros1" else "ros2") + string(f"odomcorrupt {__version__}")
+        if self.native:
+            return self.native.header
+        of_ros1 = all(channel.encoding == "ros1" for channel in self.reader.channels.values())
+        ros1 = self.reader.kind == "ros1" or (self.reader.kind == "mcap" and of_ros1)
+        return string("ros1" if ros1 else "ros2") + string(f"odomcorrupt {__version__}")
 
-    def add(self, topic: str, msgtype: str, like: Channel) -> Channel:
-        """Add a channel with the settings of another one; return it."""
-        return self.add_defined(topic, msgtype, like.encoding, retyped(self._reader, msgtype, like))
-
-    def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
+    def add(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
         """Add a channel with a given definition; return it."""
-        identifier = _LAST_ID if self._native else _LAST_FOREIGN_ID
-        while identifier in self._ids or identifier in self._reader.channels:
-            identifier -= 1
-        channel = Channel(identifier, topic, msgtype, encoding)
+        channel = super().add(topic, msgtype, encoding, definition)
         self._register(channel, definition)
         return channel
 
     def written_id(self, channel: int) -> int:
         """Return the id under which a channel of the reader, or an added one, is written."""
         if channel in self._ids:
-            if self._native and channel in self._native.channels:
-                raise BagError(f"{self._native.name}: channel {channel} appeared after its id was given to a new topic")
+            if self.native and channel in self.native.channels:
+                raise BagError(f"{self.native.name}: channel {channel} appeared after its id was given to a new topic")
             return self._ids[channel]
-        if channel not in self._reader.channels:
-            raise BagError(f"channel {channel}: is neither in the bag nor added to it")
-        if self._native:
-            return channel
-        return self._register(self._reader.channels[channel], self._reader.definition(self._reader.channels[channel]))
-
-    def translate(self, channels: NDArray[np.uint32]) -> NDArray[np.uint32]:
-        """Return the ids (n,) under which channels (n,) are written."""
-        known, places = np.unique(channels, return_inverse=True)
-        return np.array([self.written_id(one) for one in known.tolist()], dtype=np.uint32)[places]
+        known, definition = self.described(channel)
+        return channel if self.native else self._register(known, definition)
 
     def take_records(self, written: NDArray[np.uint32]) -> bytes:
         """Return the schema and channel records that must precede messages of these written ids."""
@@ -115,21 +101,21 @@ class ChannelTable:
     def packed(self) -> tuple[list[bytes], list[bytes]]:
         """Return all schema records and all channel records, for the summary."""
         schemas, channels = dict(self._schemas), dict(self._channels)
-        if self._native:
-            schemas = {**self._native.schemas, **schemas}
-            channels = {one.id: one.raw for one in self._native.channels.values()} | channels
+        if self.native:
+            schemas = {**self.native.schemas, **schemas}
+            channels = {one.id: one.raw for one in self.native.channels.values()} | channels
         return [one.pack() for one in schemas.values()], [one.pack() for one in channels.values()]
 
     def topic(self, written: int) -> str:
         """Return the topic that is written under an id."""
-        if self._native and written in self._native.channels:
-            return self._native.channels[written].topic
+        if self.native and written in self.native.channels:
+            return self.native.channels[written].topic
         return self._channels[written].topic
 
     def _register(self, channel: Channel, definition: Definition) -> int:
-        identifier = channel.id if self._native else len(self._ids)
-        if identifier > _LAST_ID:
-            raise BagError(f"{channel.topic}: is topic number {identifier}; an MCAP holds {_LAST_ID + 1}")
+        identifier = channel.id if self.native else len(self._ids)
+        if identifier > LAST_ID:
+            raise BagError(f"{channel.topic}: is topic number {identifier}; an MCAP holds {LAST_ID + 1}")
         self._ids[channel.id] = identifier
         if not definition.text and channel.encoding in ("ros1", "cdr"):
             # Old ROS 2 bags keep no definitions, but without one nothing reads an MCAP's messages.
@@ -145,40 +131,22 @@ class ChannelTable:
         if not definition.name:
             return 0
         wanted = (definition.name, definition.encoding, definition.text)
-        known = {**(self._native.schemas if self._native else {}), **self._schemas}
+        known = {**(self.native.schemas if self.native else {}), **self._schemas}
         for schema in known.values():
             if schema[1:] == wanted:
                 return schema.id
-        identifier = _LAST_ID if self._native else len(known) + 1
+        identifier = LAST_ID if self.native else len(known) + 1
         while identifier in known:
             identifier -= 1
         self._schemas[identifier] = SchemaRecord(identifier, *wanted)
         return identifier
 
 
-class ChunkSpan(NamedTuple):
-    """A chunk to be written: first and last log time, compression, and bytes before it."""
-
-    start_ns: int
-    end_ns: int
-    codec: str
-    size: int
-
-
-class ChunkRows(NamedTuple):
-    """A chunk of a block: data[begin:end], and table[start:stop]."""
-
-    begin: int
-    end: int
-    start: int
-    stop: int
-
-
 @dataclass(slots=True, eq=False, repr=False)
 class Index:
     """Statistics and indexes of a file being written."""
 
-    counts: dict[int, int] = field(default_factory=dict)
+    counts: Counter[int] = field(default_factory=Counter)
     start_ns: int | None = None
     end_ns: int = 0
     chunks: list[bytes] = field(default_factory=list)
@@ -188,22 +156,24 @@ class Index:
     def count(self, table: NDArray[np.void]) -> None:
         """Count messages."""
         for channel, count in zip(*map(np.ndarray.tolist, np.unique_counts(table["channel"])), strict=True):
-            self.counts[channel] = self.counts.get(channel, 0) + count
+            self.counts[channel] += count
         if table.size:
             start_ns, end_ns = span_ns(table)
             self.start_ns = start_ns if self.start_ns is None else min(self.start_ns, start_ns)
             self.end_ns = max(self.end_ns, end_ns)
 
     def add_chunk(
-        self, span: ChunkSpan, position: int, length: int, packed: int, indexes: list[tuple[int, bytes]]
-    ) -> bytes:
+        self, span: tuple[int, int], codec: str, sizes: tuple[int, int], place: tuple[int, int],
+        indexes: list[tuple[int, bytes]],
+    ) -> bytes:  # fmt: skip
         """Add a chunk; return the message index records that follow it.
 
-        position, length : where its record begins in the file, and of how many bytes it is
-        packed : bytes of its compressed records
+        span : first and last log time
+        sizes : bytes of its records, compressed and not
+        place : where its record begins in the file, and its length
         indexes : channel and whole record, as `message_indexes` gives them
         """
-        at = position + length
+        behind = at = sum(place)
         offsets = b""
         for channel, index in indexes:
             offsets += struct.pack("<HQ", channel, at)
@@ -211,11 +181,11 @@ class Index:
         self.chunks.append(
             record(
                 Op.CHUNK_INDEX,
-                struct.pack("<QQQQI", span.start_ns, span.end_ns, position, length, len(offsets)),
+                struct.pack("<QQQQI", *span, *place, len(offsets)),
                 offsets,
-                struct.pack("<Q", at - position - length),
-                string("" if span.codec == "none" else span.codec),
-                struct.pack("<QQ", packed, span.size),
+                struct.pack("<Q", at - behind),
+                string("" if codec == "none" else codec),
+                struct.pack("<QQ", *sizes),
             )
         )
         return b"".join(index for _, index in indexes)
@@ -249,7 +219,7 @@ class Index:
         sizes = (len(schemas), len(channels), len(self.attachments), len(self.metadata), len(self.chunks))
         statistics = record(
             Op.STATISTICS,
-            struct.pack("<QHIIII", sum(self.counts.values()), *sizes),
+            struct.pack("<QHIIII", self.counts.total(), *sizes),
             struct.pack("<QQI", self.start_ns or 0, self.end_ns, len(counts)),
             counts,
         )
@@ -271,19 +241,23 @@ def span_ns(table: NDArray[np.void]) -> tuple[int, int]:
     return int(times.min()) if times.size else 0, int(times.max(initial=0))
 
 
-def message_indexes(table: NDArray[np.void], chunks: list[ChunkRows]) -> list[list[tuple[int, bytes]]]:
-    """Return (channel, message index record) for each channel of each chunk that a table covers."""
-    numbers = np.repeat(np.arange(len(chunks)), [chunk.stop - chunk.start for chunk in chunks])
+def message_indexes(
+    table: NDArray[np.void], chunk_begins: tuple[int, ...], stops: list[int]
+) -> list[list[tuple[int, bytes]]]:
+    """Return (channel, message index record) for each channel of each chunk that a table covers.
+
+    chunk_begins, stops : offset of each chunk's data, bytes, and the row behind its last
+    """
+    numbers = np.repeat(np.arange(len(stops)), np.diff(stops, prepend=0))
     keys = numbers << 32 | table["channel"]
     order = np.argsort(keys, kind="stable")
     entries = np.empty(table.size, dtype=INDEX_ENTRY)
     entries["log"] = table["log_ns"][order]
-    begins = np.array([chunk.begin for chunk in chunks], dtype=np.int64)[numbers]
-    entries["offset"] = (table["offset"] - begins)[order] - MESSAGE_HEADER_BYTES
+    entries["offset"] = (table["offset"] - np.array(chunk_begins)[numbers])[order] - MESSAGE_HEADER_BYTES
     keys = keys[order]
     bounds = [0, *(np.flatnonzero(keys[1:] != keys[:-1]) + 1).tolist(), table.size]
     packed = memoryview(entries.tobytes())
-    found: list[list[tuple[int, bytes]]] = [[] for _ in chunks]
+    found: list[list[tuple[int, bytes]]] = [[] for _ in stops]
     for key, a, b in zip(keys[bounds[:-1]].tolist() if table.size else (), bounds, bounds[1:], strict=False):
         channel, content = key & 0xFFFFFFFF, packed[a * INDEX_ENTRY.itemsize : b * INDEX_ENTRY.itemsize]
         head = struct.pack("<BQHI", Op.MESSAGE_INDEX, 6 + len(content), channel, len(content))
@@ -313,28 +287,12 @@ class Framed(NamedTuple):
         return Framed(np.concatenate([self.data, other.data]), np.concatenate([self.table, moved]), ends)
 
 
-class Sequences:
-    """Sequence numbers of messages per channel, from 0."""
-
-    def __init__(self) -> None:
-        self._next: dict[int, int] = {}
-
-    def take(self, channels: NDArray[np.uint32]) -> NDArray[np.uint32]:
-        """Return the next sequence numbers (n,) for messages of these channels (n,)."""
-        numbers = np.empty(channels.size, dtype=np.uint32)
-        for channel in set(channels.tolist()):
-            own = np.flatnonzero(channels == channel)
-            first = self._next.get(channel, 0)
-            numbers[own] = np.arange(first, first + own.size)
-            self._next[channel] = first + own.size
-        return numbers
-
-
 def frame(
-    data: NDArray[np.uint8], table: NDArray[np.void], sequences: Sequences, chunks: tuple[int, ...] = ()
+    data: NDArray[np.uint8], table: NDArray[np.void], sequences: Counter[int], chunks: tuple[int, ...] = ()
 ) -> Framed:
     """Return records of the messages in data at a table's offsets, with the table's channel ids.
 
+    sequences : next sequence number of each channel, which is counted on
     chunks : where chunks end in data; what is framed ends there, too
     """
     if table["log_ns"].min(initial=0) < 0:
@@ -350,7 +308,10 @@ def frame(
     heads["opcode"] = Op.MESSAGE
     heads["length"] = lengths + (MESSAGE_HEADER_BYTES - RECORD_HEADER_BYTES)
     heads["channel"] = table["channel"]
-    heads["sequence"] = sequences.take(table["channel"])
+    for channel in set(table["channel"].tolist()):
+        own = np.flatnonzero(table["channel"] == channel)
+        heads["sequence"][own] = sequences[channel] + np.arange(own.size)
+        sequences[channel] += own.size
     heads["log"] = heads["publish"] = table["log_ns"]
     source = data.data
     packed = memoryview(heads.tobytes())
@@ -387,12 +348,12 @@ def _moved(chunks: tuple[int, ...], table: NDArray[np.void], ends: NDArray[np.in
 class Packed(NamedTuple):
     """A chunk's compressed data.
 
-    crc, packed_crc : CRC-32 of the uncompressed data, and of the compressed data where known
+    crc, packed_crc : CRC-32 of the uncompressed data, and of the compressed data
     """
 
     data: bytes | memoryview
     crc: int
-    packed_crc: int | None = None
+    packed_crc: int
 
 
 def packed(codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
@@ -403,7 +364,7 @@ def packed(codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
         return Packed(data.data, crc, crc)
     compressed = compress(codec, data, level)
     # in the thread that has the data in its cache
-    return Packed(compressed, crc, crc32(compressed) if CAN_COMBINE else None)
+    return Packed(compressed, crc, crc32(compressed))
 
 
 class McapWriter(OutputContext):
@@ -413,6 +374,7 @@ class McapWriter(OutputContext):
     codec : compression of the chunks; None keeps each chunk's own
     level : compression level; None is the default of the codec
     workers : threads for compression; written blocks must then not change
+    native : whether records and ids of an MCAP are kept
     whole : whether the output must contain all messages of the reader, which is then checked
     pack : compression function of chunks, default `packed`; a batch compresses common chunks once
     """
@@ -425,32 +387,35 @@ class McapWriter(OutputContext):
         level: int | None = None,
         *,
         workers: Workers | None = None,
+        native: bool = True,
         whole: bool = True,
     ) -> None:
-        self._whole = whole
-        self._added_count = 0
         super().__init__(output)
         self._results = OrderedResults(workers)
         self._reader = reader
+        self._channels = ChannelTable(reader, native=native)
         self.keeps_rest = isinstance(reader, McapReader) and reader.sparse
         self._codec = codec
         self._level = level
+        self._whole = whole
         self.pack = packed
         self._index = Index()
-        self._channel_table = ChannelTable(reader)
-        self._sequences = Sequences()
+        self._sequences: Counter[int] = Counter()
+        self._added_count = 0
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
         """Add a channel with the encoding, QoS and latching of another one; return it with a new id."""
-        return self._channel_table.add(topic, msgtype, like)
+        return self.add_defined(topic, msgtype, like.encoding, retyped(self._reader, msgtype, like))
 
     def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
         """Add a channel with a given definition; return it."""
-        return self._channel_table.add_defined(topic, msgtype, encoding, definition)
+        return self._channels.add(topic, msgtype, encoding, definition)
 
     def contents(self) -> PartContents:
         """Return the message counts and time span written so far."""
-        counts = {self._channel_table.topic(channel): count for channel, count in self._index.counts.items()}
+        counts: Counter[str] = Counter()
+        for channel, count in self._index.counts.items():
+            counts[self._channels.topic(channel)] += count
         return PartContents(Path(self._output.name).name, counts, self._index.start_ns or 0, self._index.end_ns)
 
     def provenance(self, name: str, items: Mapping[str, str]) -> None:
@@ -459,36 +424,35 @@ class McapWriter(OutputContext):
 
     def write(self, block: Block) -> None:
         """Write a block, its added messages last."""
-        framing = block.raw.own.raw if isinstance(block.raw, PartFraming) else block.raw
-        if isinstance(framing, McapFraming) and framing.kind == "record":
+        framing = block.raw
+        kind = framing.kind if isinstance(framing, McapFraming) else "chunk"
+        if kind == "record" and isinstance(framing, McapFraming):
             self._write_record(framing.opcode, block.data.data)
             if not block.added:
                 return
             framed = self._added(block)
         else:
-            framed = self._own(block, framing)
+            framed = self._own(block)
             if block.added:
                 framed = framed.followed_by(self._added(block))
-        if isinstance(framing, McapFraming) and framing.kind != "chunk" and self._codec is None:
+        if kind != "chunk" and self._codec is None:
             self._index.count(framed.table)
             self._results.put_behind(partial(self._output.write, framed.data.data), framed.data.size)
         else:
-            codec = getattr(framing, "codec", "zstd")
-            codec = self._codec or (codec if codec in CODECS else "zstd")
+            codec = self._codec or (framing.codec if framing.codec in CODECS else "zstd")
             self._write_chunks(framed, codec, self._reader.originals(block) if self.keeps_rest else [])  # type: ignore[attr-defined]
 
     def settle(self) -> None:
         """Wait until all blocks passed to `write` are written and may change."""
         self._results.finish()
 
-    def _own(self, block: Block, framing: object) -> Framed:
-        """Return a block's own messages as records, unchanged if they come from an MCAP."""
-        native = isinstance(framing, McapFraming)
-        if native and not isinstance(block.raw, PartFraming):
+    def _own(self, block: Block) -> Framed:
+        """Return a block's own messages as records, unchanged if they come from an MCAP with the same ids."""
+        of_mcap = isinstance(block.raw, McapFraming)
+        if of_mcap and self._channels.native:
             return Framed(block.data, block.table, block.ends)
-        table = block.table.copy()
-        table["channel"] = self._channel_table.translate(table["channel"])
-        if native:
+        table = with_ids(block.table, self._channels.written_id)
+        if of_mcap:
             records = reframe(block.data, table, block.ends)
         else:
             records = frame(block.data, table, self._sequences, block.ends)
@@ -497,90 +461,71 @@ class McapWriter(OutputContext):
     def _added(self, block: Block) -> Framed:
         """Return records of a block's added messages, after those of the channels they need."""
         table = np.empty(len(block.added), dtype=TABLE)
-        table["channel"] = [self._channel_table.written_id(one.channel) for one in block.added]
+        table["channel"] = [self._channels.written_id(one.channel) for one in block.added]
         table["log_ns"] = [one.log_ns for one in block.added]
         table["length"] = [len(one.data) for one in block.added]
         table["offset"] = np.cumsum(table["length"]) - table["length"]
         data = np.frombuffer(b"".join(one.data for one in block.added), dtype=np.uint8)
-        framed = frame(data, table, self._sequences)
         self._added_count += len(table)
-        return self._records(framed.table["channel"]).followed_by(framed)
+        return self._records(table["channel"]).followed_by(frame(data, table, self._sequences))
 
     def _records(self, channels: NDArray[np.uint32]) -> Framed:
         """Return the schema and channel records that these channels still need in the file."""
-        data = self._channel_table.take_records(channels)
+        data = self._channels.take_records(channels)
         return Framed(np.frombuffer(data, dtype=np.uint8), np.empty(0, dtype=TABLE))
 
-    def _write_chunks(self, framed: Framed, codec: str, originals: list[Original]) -> None:
-        self._index.count(framed.table)
+    def _write_chunks(self, framed: Framed, codec: str, originals: Sequence[Original]) -> None:
+        table = framed.table
+        self._index.count(table)
         ends = framed.ends or (framed.data.size,)
-        stops = np.searchsorted(framed.table["offset"], ends[:-1]).tolist()
-        rows = zip((0, *ends[:-1]), ends, (0, *stops), (*stops, framed.table.size), strict=True)
-        chunks = [ChunkRows(*row) for row in rows]
-        same: Sequence[Original | None] = originals or [None] * len(chunks)
-        for chunk, indexes, original in zip(chunks, message_indexes(framed.table, chunks), same, strict=True):
-            data = framed.data if len(chunks) == 1 else framed.data[chunk.begin : chunk.end]
-            span = ChunkSpan(*span_ns(framed.table[chunk.start : chunk.stop]), codec, data.size)
+        begins = (0, *ends[:-1])
+        stops = [*np.searchsorted(table["offset"], ends[:-1]).tolist(), table.size]
+        spans = [span_ns(table[start:stop]) for start, stop in zip((0, *stops), stops, strict=False)]
+        rows = zip(begins, ends, spans, message_indexes(table, begins, stops), strict=True)
+        for (begin, end, span, indexes), original in zip_longest(rows, originals):
+            data = framed.data if len(ends) == 1 else framed.data[begin:end]
             pack = partial(self.pack, codec, data, self._level)
             if original is not None:
                 crc = original.crc_with(data.data)
                 pack = partial(Packed, data.data, crc, crc)
-            self._results.put(
-                pack,
-                partial(self._write_chunk, span, indexes, original),
-                data.size,
-                worth=codec != "none",
-            )
+            write = partial(self._write_chunk, span, codec, data.size, indexes, original)
+            self._results.put(pack, write, data.size, worth=codec != "none")
 
     def _write_chunk(
-        self, span: ChunkSpan, indexes: list[tuple[int, bytes]], original: Original | None, chunk: Packed
-    ) -> None:
-        """Write a chunk and its message indexes."""
-        position, size = self._output.position, len(chunk.data)
-        head = chunk_head(span.start_ns, span.end_ns, size=span.size, crc=chunk.crc, codec=span.codec, packed=size)
+        self, span: tuple[int, int], codec: str, size: int, indexes: list[tuple[int, bytes]],
+        original: Original | None, chunk: Packed,
+    ) -> None:  # fmt: skip
+        """Write a chunk of `size` bytes of records, and its message indexes."""
+        position, packed_size = self._output.position, len(chunk.data)
+        head = chunk_head(*span, size=size, crc=chunk.crc, codec=codec, packed=packed_size)
         self._output.write(head)
-        if chunk.packed_crc is None:
-            self._output.write(chunk.data)
-        else:
-            self._output.write_summed(chunk.data, chunk.packed_crc, original)
-        self._output.write(self._index.add_chunk(span, position, len(head) + size, size, indexes))
+        self._output.write_summed(chunk.data, chunk.packed_crc, original)
+        place = position, len(head) + packed_size
+        self._output.write(self._index.add_chunk(span, codec, (packed_size, size), place, indexes))
 
     def _write_record(self, opcode: int, data: memoryview | bytes) -> None:
         """Write a record unchanged, or a later piece of one (opcode 0), after all pending writes."""
-        self._results.put_behind(partial(self._write_record_now, opcode, data), len(data))
 
-    def _write_record_now(self, opcode: int, data: memoryview | bytes) -> None:
-        if opcode:
-            self._index.add_record(opcode, bytes(data[: 1 << 20]), self._output.position)
-        self._output.write(data)
+        def write() -> None:
+            if opcode:
+                self._index.add_record(opcode, bytes(data[: 1 << 20]), self._output.position)
+            self._output.write(data)
+
+        self._results.put_behind(write, len(data))
 
     def _finish(self) -> None:
         self._results.finish()
         output = self._output
         if self._whole:
-            require_all(output.name, self._reader, sum(self._index.counts.values()), self._added_count)
+            require_all(output.name, self._reader, self._index.counts.total(), self._added_count)
         output.write(record(Op.DATA_END, struct.pack("<I", output.crc)))
         begin = output.position
         output.restart_crc()
-        private: list[bytes] = self._reader.summary.private if isinstance(self._reader, McapReader) else []
-        section, offsets = self._index.summary(*self._channel_table.packed(), private, begin)
+        private = self._channels.native.summary.private if self._channels.native else []
+        section, offsets = self._index.summary(*self._channels.packed(), private, begin)
         footer = record(Op.FOOTER, struct.pack("<QQI", begin, offsets, 0))[:-4]
         output.write(section, footer)
         output.write(struct.pack("<I", output.crc), MAGIC)
 
     def _begin(self) -> None:
-        self._output.write(MAGIC, record(Op.HEADER, self._channel_table.header()))
-
-
-class ReframedReader:
-    """A reader of an MCAP presented as one of another format, so that a writer frames its messages itself."""
-
-    complete = True
-
-    def __init__(self, reader: BagReader) -> None:
-        ros1 = all(channel.encoding == "ros1" for channel in reader.channels.values())
-        self.kind: Kind = "ros1" if ros1 else "sqlite3"
-        self._reader = reader
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._reader, name)
+        self._output.write(MAGIC, record(Op.HEADER, self._channels.header()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -268,12 +268,10 @@ _HEADER_LIMIT = 1 << 24
 class Ros1Framing(Framing):
     """Framing of a block in its bag.
 
-    codec : of the chunk
     starts : (n,) offsets of the message records in the block's data, bytes
     """
 
-    codec: str
-    starts: NDArray[np.int64]
+    starts: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     def begins(self, table: NDArray[np.void]) -> NDArray[np.int64]:  # noqa: ARG002 - headers differ in length
         """Return the offsets (n,) of the message records, bytes."""

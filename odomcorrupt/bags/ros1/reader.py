@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.bags.block import Block, Channel, Definition, without
-from odomcorrupt.bags.chunk import Chunk, beginning_of_chunk, read_chunks
-from odomcorrupt.bags.record_reader import RecordReader
+from odomcorrupt.bags.block import Block, Channel, Definition
+from odomcorrupt.bags.chunk import BATCH_BYTES, Chunk, beginning_of_chunk, read_chunks
+from odomcorrupt.bags.record_reader import WINDOW_BYTES, RecordReader
 from odomcorrupt.bags.ros1.chunk import (
     CODECS,
     Connection,
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.source import Source
 
 
-_WINDOW_BYTES = 1 << 20
 _LOOK_BYTES = 1 << 13
 _BACK_BYTES = 256
 """How far before its kind a record may begin: other fields of its header stand there."""
@@ -139,18 +138,18 @@ def _found(source: Source, begin: int, end: int, kinds: Container[int]) -> Itera
     """Yield the offsets of plausible records of some kinds between bytes `begin` and `end`."""
     while begin < end:
         source.seek(begin)
-        window = source.sniff(_WINDOW_BYTES + _LOOK_BYTES)
+        window = source.sniff(WINDOW_BYTES + _LOOK_BYTES)
         hit = window.find(_OP)
-        while 0 <= hit < _WINDOW_BYTES:
+        while 0 <= hit < WINDOW_BYTES:
             kind = int.from_bytes(window[hit + len(_OP) : hit + len(_OP) + 1], "little")
             for start in range(hit - 4, max(-1, hit - _BACK_BYTES), -1) if kind in kinds else ():
                 if begin + start < end and _kind_at(window, start, (source.size or 0) - begin - start) in kinds:
                     yield begin + start
                     break
             hit = window.find(_OP, hit + 1)
-        if len(window) < _WINDOW_BYTES + _LOOK_BYTES:
+        if len(window) < WINDOW_BYTES + _LOOK_BYTES:
             return
-        begin += _WINDOW_BYTES - _BACK_BYTES
+        begin += WINDOW_BYTES - _BACK_BYTES
 
 
 def _here(source: Source) -> int | None:
@@ -173,9 +172,6 @@ def _kind_at(window: bytes, at: int, left: int) -> int | None:
     except BagError:
         return None
     return kind if kind in _KINDS and size <= left - length - 8 else None
-
-
-_BATCH_BYTES = 1 << 20
 
 
 class _Connected(NamedTuple):
@@ -251,7 +247,7 @@ class Ros1Reader(RecordReader):
         """Yield chunks, and connections between them."""
         chunk: Chunk | None = None
         for head in self._heads(source):
-            if chunk and not (head.op == Op.INDEX or (head.op == Op.MESSAGE and 0 < len(chunk.open) < _BATCH_BYTES)):
+            if chunk and not (head.op == Op.INDEX or (head.op == Op.MESSAGE and 0 < len(chunk.loose) < BATCH_BYTES)):
                 done, chunk = chunk, None
                 yield done
             begin, end = source.position - 8 - len(head.header), source.position + head.size
@@ -312,8 +308,8 @@ class Ros1Reader(RecordReader):
             self._learn(head.header, data)
         elif head.op == Op.MESSAGE and self._recover:
             # The recorder died while it wrote this chunk: its messages stand outside of it.
-            chunk = chunk or Chunk(np.empty(0, dtype=np.uint8), "none", f"{self.name}: {head.what}")
-            chunk.open.extend(pack_record(head.header, data))
+            chunk = chunk or Chunk.outside(f"{self.name}: {head.what}")
+            chunk.loose.extend(pack_record(head.header, data))
         elif head.op == Op.CHUNK_INFO and self._recover:
             self._seen += _counted(data)
         else:
@@ -329,28 +325,15 @@ class Ros1Reader(RecordReader):
         self._learn(*part)
         return None
 
-    def _salvaged(self, chunk: Chunk) -> Block:
-        """Return the intact messages of a chunk, without those of undefined connections."""
-        data = whole_records(np.frombuffer(chunk.open, dtype=np.uint8) if chunk.open else chunk.data)
-        contents = read_contents(data, [], "")
+    def _block(self, data: NDArray[np.uint8], part: Chunk, *, salvage: bool = False) -> Block:
+        contents = read_contents(data, part.indexes, part.what)
         for header, fields in contents.connections:
-            # An unreadable one matters only if messages use it.
-            with suppress(BagError):
+            # an unreadable one matters only if messages use it
+            with suppress(BagError) if salvage else nullcontext():
                 self._learn(header, fields)
-        block = Block(data, contents.table, Ros1Framing(chunk.codec, contents.starts))
-        unknown = np.array([number not in self.channels for number in contents.table["channel"].tolist()], dtype=bool)
-        return without(block, unknown)
+        return Block(data, contents.table, Ros1Framing(part.codec, contents.starts))
 
-    def _block(self, chunk: Chunk) -> Block:
-        data = np.frombuffer(chunk.open, dtype=np.uint8) if chunk.open else chunk.data
-        contents = read_contents(data, chunk.indexes, chunk.what)
-        for header, fields in contents.connections:
-            self._learn(header, fields)
-        block = Block(data, contents.table, Ros1Framing(chunk.codec, contents.starts))
-        unknown = block.present() - self.channels.keys()
-        if unknown:
-            raise BagError(f"{chunk.what}: messages of connection {min(unknown)}, which is not defined; damaged bag")
-        return block
+    _whole_records = staticmethod(whole_records)
 
     def _learn(self, header: bytes, data: bytes) -> None:
         connection = Connection.parse(header, data, self.name)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.block import TABLE, Block, Channel, Definition, Message, own_framing, require_all
+from odomcorrupt.bags.block import TABLE, Message, require_all
 from odomcorrupt.bags.codecs import compress_for_ros1
-from odomcorrupt.bags.definition import md5sum_of, retyped
+from odomcorrupt.bags.definition import OutputChannels, md5sum_of, retyped
 from odomcorrupt.bags.messages import SECOND_NS
 from odomcorrupt.bags.output import OutputContext
 from odomcorrupt.bags.pipeline import OrderedResults
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import BagReader
+    from odomcorrupt.bags.block import BagReader, Block, Channel, Definition
     from odomcorrupt.bags.output import Original, Output
     from odomcorrupt.bags.pipeline import Workers
 
@@ -123,43 +123,36 @@ def indexes(framed: Framed) -> list[tuple[int, int, bytes]]:
     return found
 
 
-_LAST_ID = 0xFFFF
-
-
-class Connections:
+class Connections(OutputChannels):
     """Ids and records of the connections of an output, and which of them are written.
 
-    Ids of the bag's own connections are kept. New ones count down, since on a pipe those yet to come count up.
+    native : whether ids and records of the bag's own connections are kept
     """
 
     def __init__(self, reader: BagReader) -> None:
-        self._reader = reader
-        self._native = isinstance(reader, Ros1Reader)
+        super().__init__(reader)
+        self.native = isinstance(reader, Ros1Reader)
         self._made: dict[int, Connection] = {}
         self._waiting: set[int] = set()
-        if not self._native and reader.complete:
+        if not self.native and reader.complete:
             for channel in reader.channels.values():
                 self._make(channel, reader.definition(channel))
 
-    def add(self, topic: str, msgtype: str, like: Channel) -> Channel:
-        """Add a channel with the settings of another one; return it."""
-        identifier = _LAST_ID
-        while identifier in self._made or identifier in self._reader.channels:
-            identifier -= 1
-        channel = Channel(identifier, topic, msgtype, "ros1")
-        self._make(channel, retyped(self._reader, msgtype, like))
+    def add(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
+        """Add a channel with a given definition; return it."""
+        channel = super().add(topic, msgtype, encoding, definition)
+        self._make(channel, definition)
         return channel
 
     def take_records(self, channels: Iterable[int]) -> bytes:
         """Return the connection records that must precede messages of these channels."""
         needed: set[int] = set()
         for channel in set(channels):
-            if self._native and channel in self._made and channel in self._reader.channels:
+            if self.native and channel in self._made and channel in self.reader.channels:
                 raise BagError(f"connection {channel}: appeared after its id was given to a new topic; use a file")
-            if channel not in self._made and channel not in self._reader.channels:
-                raise BagError(f"channel {channel}: is neither in the bag nor added to it")
-            if not self._native and channel not in self._made:
-                self._make(self._reader.channels[channel], self._reader.definition(self._reader.channels[channel]))
+            known, definition = self.described(channel)
+            if not self.native and channel not in self._made:
+                self._make(known, definition)
             if channel in self._waiting:
                 needed.add(channel)
         self._waiting -= needed
@@ -167,7 +160,7 @@ class Connections:
 
     def packed(self) -> list[bytes]:
         """Return all connection records, for the index."""
-        own = [channel.raw for channel in self._reader.channels.values()] if self._native else []
+        own = [channel.raw for channel in self.reader.channels.values()] if self.native else []
         return [one.pack() for one in [*own, *self._made.values()]]
 
     def _make(self, channel: Channel, definition: Definition) -> None:
@@ -230,7 +223,7 @@ class Ros1Writer(OutputContext):
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
         """Add a channel with the latching and callerid of another one; return it with a new id."""
-        return self._connections.add(topic, msgtype, like)
+        return self._connections.add(topic, msgtype, "ros1", retyped(self._reader, msgtype, like))
 
     def provenance(self, name: str, items: Mapping[str, str]) -> None:
         """Do nothing: a ROS 1 bag has no metadata."""
@@ -239,17 +232,13 @@ class Ros1Writer(OutputContext):
         """Write a block, its added messages last."""
         added = self._frame(block.added)
         self._added += len(block.added)
-        framing = block.raw
-        if isinstance(framing, Ros1Framing):
-            framed = Framed(block.data, block.table, framing.starts, block.ends)
-            codec = framing.codec
+        if isinstance(block.raw, Ros1Framing) and self._connections.native:
+            framed = Framed(block.data, block.table, block.raw.starts, block.ends)
         else:
             framed = self._framed(block)
-            codec = getattr(own_framing(block), "codec", "lz4")
-            codec = codec if codec in CODECS else "lz4"
         if added.data.size:
             framed = framed.followed_by(added)
-        codec = self._codec or codec
+        codec = self._codec or (block.raw.codec if block.raw.codec in CODECS else "lz4")
         originals = self._reader.originals(block) if self.keeps_rest else []  # type: ignore[attr-defined]
         if framed.data.size:
             for chunk, original in zip_longest(framed.chunks(), originals):

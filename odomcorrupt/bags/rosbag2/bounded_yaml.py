@@ -26,7 +26,7 @@ def read_text(path: Path) -> str:
     try:
         return read_input(path, LARGEST_BYTES, "metadata of a recorder", BagError).decode()
     except UnicodeDecodeError as error:
-        raise BagError(f"{path}: cannot be read: {_shown(error)}") from error
+        raise BagError(f"{path}: cannot be read: {shown(error)}") from error
 
 
 def load_plain(text: str) -> Any:
@@ -54,10 +54,11 @@ def yaml_problem(error: Exception) -> str:
     """Return an error in one short line; those of YAML quote the document."""
     mark = getattr(error, "problem_mark", None)
     where = f" in line {mark.line + 1}" if mark is not None else ""
-    return _shown(getattr(error, "problem", None) or error) + where
+    return shown(getattr(error, "problem", None) or error) + where
 
 
-def _shown(problem: object) -> str:
+def shown(problem: object) -> str:
+    """Return a problem, or another text, in one short line."""
     strerror = getattr(problem, "strerror", None)
     text = " ".join(str(strerror or problem).split())
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."

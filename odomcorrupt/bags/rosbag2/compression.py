@@ -5,15 +5,16 @@ from __future__ import annotations
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import zstandard
 
-from odomcorrupt.bags.block import Block, Unframed
+from odomcorrupt.bags.block import Block, Framing
+from odomcorrupt.bags.codecs import Packed, zstd_pieces
 from odomcorrupt.bags.convert.rewritten import RewrittenReader, Rule
 from odomcorrupt.bags.record_reader import Undecodable, with_readable
-from odomcorrupt.bags.source import Budget
+from odomcorrupt.bags.source import Budget, Source
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -27,8 +28,6 @@ Mode = Literal["none", "file", "message"]
 SUFFIXES = (".zstd", ".zst")
 """Of compressed files; rosbag2 writes the first."""
 
-_FEED_BYTES = 1 << 12
-"""Compressed bytes that are decompressed at once: to 128 MiB at most."""
 _DEFAULT_LEVEL = 3
 """That of zstd, and of rosbag2."""
 
@@ -62,14 +61,16 @@ class UnpackedFiles:
             raise
 
     def _unpack(self, file: Path, target: Path, budget: Budget) -> None:
-        budget.require(0, file.stat().st_size, str(file))
-        with file.open("rb") as packed, target.open("wb") as out:
+        with Source.of_file(file) as source, target.open("wb") as out:
+            packed = Packed(source, source.size or 0, "compressed file")
+            budget.require(0, packed.left, str(file))
             try:
-                for piece in _decompressed(packed):
+                for piece in zstd_pieces(packed):
                     budget.take(len(piece), str(file))
                     out.write(piece)
-            except zstandard.ZstdError as error:
-                sentence = f"{file}: zstd cannot decompress it: {error}"
+            except (zstandard.ZstdError, EOFError) as error:
+                why = "it is truncated" if isinstance(error, EOFError) else error
+                sentence = f"{file}: zstd cannot decompress it: {why}"
                 if not self._recover:
                     raise BagError(f"{sentence}; --recover saves the intact part") from error
                 self.losses.append(sentence)
@@ -77,20 +78,6 @@ class UnpackedFiles:
     def close(self) -> None:
         """Remove the copies."""
         self._stack.close()
-
-
-def _decompressed(stream: BinaryIO) -> Iterator[bytes]:
-    """Yield the decompressed bytes of a stream of zstd frames; ZstdError for a truncated one."""
-    decompressor = None
-    unused = b""
-    while piece := unused or stream.read(_FEED_BYTES):
-        unused = b""
-        decompressor = decompressor or zstandard.ZstdDecompressor().decompressobj()
-        yield decompressor.decompress(piece)
-        if decompressor.eof:
-            unused, decompressor = decompressor.unused_data, None
-    if decompressor is not None:
-        raise zstandard.ZstdError("it is truncated")
 
 
 class UnpackedMessages(RewrittenReader):
@@ -154,7 +141,7 @@ def compressed_block(block: Block, level: int | None) -> Block:
     moved = tuple(sorted({int(end) for end in np.concatenate(([0], ends))[rows].tolist() if end}))
     data = np.frombuffer(bytearray().join(pieces), dtype=np.uint8)
     added = [one._replace(data=compressor.compress(one.data)) for one in block.added]
-    return Block(data, table, Unframed(getattr(block.raw, "codec", "none")), added, moved)
+    return Block(data, table, Framing(block.raw.codec), added, moved)
 
 
 def compress_file(path: Path, level: int | None) -> Path:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from odomcorrupt.bags.block import Definition
+from odomcorrupt.bags.rosbag2.bounded_yaml import shown
 from odomcorrupt.bags.source import SQLITE, temporary_copy, temporary_folder
 from odomcorrupt.errors import BagError
 
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
 _LEAST_BYTES = 1 << 20
 _MOST_BYTES = (1 << 31) - 1
 """More is no limit to sqlite3, and too large a number."""
-_LONGEST = 200
-"""Maximum number of characters of a reason in an error message."""
 _IDS = 1 << 32
 """Ids of topics are less; recorders count them from 1."""
 _COLUMNS = {"topics": {"id", "name", "type"}, "messages": {"topic_id", "timestamp", "data"}}
@@ -87,7 +86,7 @@ def reported(path: Path, *, writing: bool = False, recover: bool = False) -> Ite
             reason = error.strerror if isinstance(error, OSError) else f"sqlite3 reports {error}"
             raise BagError(f"{path}: cannot be written: {reason}") from error
         # sqlite3 quotes the whole text that it cannot decode
-        reason = " ".join(str(error).split())[:_LONGEST] or type(error).__name__
+        reason = shown(error) or type(error).__name__
         if isinstance(error, OSError | MemoryError) or getattr(error, "sqlite_errorcode", 0) & 0xFF in _SURROUNDINGS:
             raise BagError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or reason}") from error
         advice = "" if recover else "; --recover saves the intact part"
@@ -190,7 +189,7 @@ def require_plain(connection: sqlite3.Connection, path: str) -> None:
         elif kind == "table" and name in _TABLES and _ROW_IDS & {one.lower() for one in columns(connection, name)}:
             fault = f"its table {name} has a column of the name of sqlite3's row numbers"
         elif kind == "table" and name in _TABLES and _RULES.search(str(text)):
-            fault = f"its table {name} has constraints ({' '.join(str(text).split())[:_LONGEST]})"
+            fault = f"its table {name} has constraints ({shown(text)})"
         elif kind == "index" and table in _TABLES and text is not None and not _is_plain_index(connection, name):
             fault = f"its table {table} has an index that computes, {name!r}"
         elif kind == "table" and str(text).upper().startswith("CREATE VIRTUAL"):
@@ -271,7 +270,7 @@ def _readable(
     except sqlite3.Error as error:
         if losses is None:
             raise
-        losses.append(f"{path}: sqlite3 reports {' '.join(str(error).split())[:_LONGEST]}: some {what} are lost")
+        losses.append(f"{path}: sqlite3 reports {shown(error)}: some {what} are lost")
 
 
 def _topic(row: dict[str, Any], definitions: dict[str, tuple[str, bytes]]) -> Topic:

@@ -7,13 +7,14 @@ import os
 import sqlite3
 import struct
 from contextlib import ExitStack, closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from odomcorrupt.bags.block import TABLE, Block, Channel, Kind
+from odomcorrupt.bags.block import TABLE, Block, Channel, Framing, Kind
+from odomcorrupt.bags.chunk import BATCH_BYTES
 from odomcorrupt.bags.record_reader import Undecodable, with_readable
 from odomcorrupt.bags.rosbag2.database import (
     Topic,
@@ -137,7 +138,6 @@ def copy_tables(source: sqlite3.Connection, target: sqlite3.Connection) -> None:
         target.execute("CREATE INDEX timestamp_idx ON messages (timestamp ASC)")
 
 
-_BATCH_BYTES = 1 << 20
 _PIECE_BYTES = 1 << 22
 _LARGE_BYTES = 1 << 16
 
@@ -149,15 +149,15 @@ def kept(message: Any) -> bytes:
 
 
 @dataclass(frozen=True, slots=True)
-class SqliteFraming:
+class SqliteFraming(Framing):
     """Framing of a block in its file.
 
     rows : (n,) row ids of the messages
     before : original messages as of `kept`, to detect changes; None for one that was not read
     """
 
-    rows: NDArray[np.int64]
-    before: list[bytes | None]
+    rows: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    before: list[bytes | None] = field(default_factory=list)
 
 
 class SqliteReader:
@@ -262,7 +262,7 @@ class SqliteReader:
                 size += 0 if unread else len(blob)
                 self.count += 1
                 blob = None  # noqa: PLW2901 - the block holds the only reference
-                if size >= _BATCH_BYTES:
+                if size >= BATCH_BYTES:
                     block = self._decodable(_block(rows, of, times_ns, data))
                     rows, of, times_ns, data, size = [], [], [], [], 0
                     yield block
@@ -280,11 +280,13 @@ class SqliteReader:
         left_out = self._undecodable.find(block, self.channels)
         if not left_out.any():
             return block
-        rows: NDArray[np.int64] = block.raw.rows
+        framing = block.raw
+        assert isinstance(framing, SqliteFraming)  # noqa: S101 - `_block` makes no other
+        rows = framing.rows
         self.lost_rows += rows[left_out].tolist()
         self.count -= int(np.count_nonzero(left_out))
-        before = [one for one, lost in zip(block.raw.before, left_out.tolist(), strict=True) if not lost]
-        return Block(block.data, block.table[~left_out], SqliteFraming(rows[~left_out], before))
+        before = [one for one, lost in zip(framing.before, left_out.tolist(), strict=True) if not lost]
+        return Block(block.data, block.table[~left_out], SqliteFraming(rows=rows[~left_out], before=before))
 
     def _rows(self, connection: sqlite3.Connection, only: Container[int] | None) -> Iterator[tuple[Any, ...]]:
         if self.damaged:
@@ -323,7 +325,7 @@ def _block(rows: list[int], of: list[int], times_ns: list[int], data: list[bytes
     alone = read[0] if len(read) == 1 and isinstance(read[0], bytearray) else bytearray().join(read)
     joined = np.frombuffer(alone, dtype=np.uint8)
     before = [None if blob is None else kept(blob) for blob in data]
-    return Block(joined, table, SqliteFraming(np.array(rows, dtype=np.int64), before))
+    return Block(joined, table, SqliteFraming(rows=np.array(rows, dtype=np.int64), before=before))
 
 
 def _packed(connection: sqlite3.Connection, *, recover: bool) -> bool:

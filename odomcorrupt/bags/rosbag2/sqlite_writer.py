@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from odomcorrupt.bags.block import Channel, PartContents, require_all
-from odomcorrupt.bags.definition import retyped, with_common_text
+from odomcorrupt.bags.definition import OutputChannels, retyped, with_common_text
 from odomcorrupt.bags.output import FileCopy, beside, place, remove, sweep
 from odomcorrupt.bags.rosbag2.database import columns, count_messages, harden, read_only, reported, unfinished
 from odomcorrupt.bags.rosbag2.metadata import TopicInfo, add_provenance, edited, generated
@@ -56,9 +56,23 @@ class SqliteOutput:
             raise BagError(f"{self._path}: is not open")
         return self._open
 
+    def _begin(self) -> None:
+        """Make the temporary file."""
+        raise NotImplementedError
+
     def _complete(self) -> None:
         """Make the last changes, and commit."""
         raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        try:
+            with reported(self._path, writing=True):
+                sweep(self._path.parent, self._path.name)
+                self._begin()
+        except BaseException:
+            self._discard()
+            raise
+        return self
 
     def _discard(self) -> None:
         if self._open is not None:
@@ -108,18 +122,13 @@ class NewSqliteWriter(SqliteOutput):
         self._topics: dict[tuple[str, str, str], int] = {}
         self._infos: list[TopicInfo] = []
         self._defined: set[str] = set()
-        self._fresh: dict[int, tuple[Channel, Definition]] = {}
+        self._channels = OutputChannels(reader, (1 << 32) - 1)
         self._provenance: list[tuple[str, Mapping[str, str]]] = []
         self._written = self._added = 0
 
     def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
         """Add a topic with a given definition; return it."""
-        identifier = (1 << 32) - 1
-        while identifier in self._fresh or identifier in self._reader.channels:
-            identifier -= 1
-        channel = Channel(identifier, topic, msgtype, encoding)
-        self._fresh[identifier] = channel, definition
-        return channel
+        return self._channels.add(topic, msgtype, encoding, definition)
 
     def provenance(self, name: str, items: Mapping[str, str]) -> None:
         """Write provenance metadata to the file's metadata table."""
@@ -153,14 +162,7 @@ class NewSqliteWriter(SqliteOutput):
     def _row_of(self, channel: int) -> int:
         """Return the id of a channel's row in the topics table, which is added at its first use."""
         if channel not in self._rows:
-            if channel in self._fresh:
-                known, definition = self._fresh[channel]
-            elif channel in self._reader.channels:
-                known = self._reader.channels[channel]
-                definition = self._reader.definition(known)
-            else:
-                raise BagError(f"channel {channel}: is neither in the bag nor added to it")
-            self._rows[channel] = self._topic_row(known, definition)
+            self._rows[channel] = self._topic_row(*self._channels.described(channel))
         return self._rows[channel]
 
     def _topic_row(self, channel: Channel, definition: Definition) -> int:
@@ -184,24 +186,16 @@ class NewSqliteWriter(SqliteOutput):
                 self._connection.execute("INSERT INTO message_definitions VALUES (?, ?, ?, ?, ?)", described)
         return row
 
-    def __enter__(self) -> Self:
-        try:
-            with reported(self._path, writing=True):
-                sweep(self._path.parent, self._path.name)
-                self._open = sqlite3.connect(self._partial, isolation_level=None)
-                # No journal: on any failure the whole file is removed.
-                for pragma in ("journal_mode = OFF", "synchronous = OFF", "locking_mode = EXCLUSIVE"):
-                    self._open.execute(f"PRAGMA {pragma}").fetchall()
-                self._open.executescript(_TABLES)
-                self._open.execute("BEGIN")
-                self._open.execute("INSERT INTO schema VALUES (?, ?)", (_SCHEMA_VERSION, ""))
-                if self._reader.complete:
-                    for channel in self._reader.channels:
-                        self._row_of(channel)
-        except BaseException:
-            self._discard()
-            raise
-        return self
+    def _begin(self) -> None:
+        self._open = sqlite3.connect(self._partial, isolation_level=None)
+        # No journal: on any failure the whole file is removed.
+        for pragma in ("journal_mode = OFF", "synchronous = OFF", "locking_mode = EXCLUSIVE"):
+            self._open.execute(f"PRAGMA {pragma}").fetchall()
+        self._open.executescript(_TABLES)
+        self._open.execute("BEGIN")
+        self._open.execute("INSERT INTO schema VALUES (?, ?)", (_SCHEMA_VERSION, ""))
+        for channel in self._reader.channels if self._reader.complete else ():
+            self._row_of(channel)
 
     def _complete(self) -> None:
         require_all(str(self._path), self._reader, self._written, self._added)
@@ -354,19 +348,7 @@ class SqliteWriter(SqliteOutput):
         statement = f"INSERT INTO {table} ({', '.join(known)}) VALUES ({marks})"  # noqa: S608 - all names are ours
         self._change(statement, [[values[name] for name in known]])
 
-    def __enter__(self) -> Self:
-        try:
-            with reported(self._path, writing=True):
-                self._begin()
-        except BaseException as error:
-            self._discard()
-            if isinstance(error, OSError) and not isinstance(error, BagError):
-                raise BagError(f"{self._path}: cannot be written: {error.strerror}") from error
-            raise
-        return self
-
     def _begin(self) -> None:
-        sweep(self._path.parent, self._path.name)
         if self._reader.damaged:
             with (
                 closing(read_only(self._reader.readable, whole=False)) as source,

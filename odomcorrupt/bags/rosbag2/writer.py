@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import shutil
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
-from odomcorrupt.bags.block import Block, Channel, PartFraming
-from odomcorrupt.bags.definition import retyped
-from odomcorrupt.bags.mcap.reader import McapReader
-from odomcorrupt.bags.mcap.writer import McapWriter, ReframedReader
+from odomcorrupt.bags.block import with_ids
+from odomcorrupt.bags.definition import OutputChannels, retyped
+from odomcorrupt.bags.mcap.writer import McapWriter
 from odomcorrupt.bags.output import Output, beside, place, sweep
 from odomcorrupt.bags.parts import PartsReader
 from odomcorrupt.bags.rosbag2.compression import SUFFIXES, compress_file, compressed_block
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from types import TracebackType
 
-    from odomcorrupt.bags.block import BagReader, Definition, Kind
+    from odomcorrupt.bags.block import BagReader, Block, Channel, Kind
     from odomcorrupt.bags.pipeline import Workers
     from odomcorrupt.bags.rosbag2.compression import Mode
 
@@ -63,7 +63,7 @@ class Rosbag2Writer:
         self._level = level
         self._stack = ExitStack()
         self._writers: list[PartWriter] = []
-        self._fresh: dict[int, tuple[Channel, Definition]] = {}
+        self._channels = OutputChannels(reader, (1 << 32) - 1)
         self._provenance: list[tuple[str, Mapping[str, str]]] = []
         self._old = reader if isinstance(reader, PartsReader) else None
         self._mode: Mode = (self._old.mode if self._old else "none") if mode is None else mode
@@ -71,7 +71,7 @@ class Rosbag2Writer:
         self._own: list[dict[int, int]] = [{}]
         if self._old is not None:
             self._parts = [*self._old.parts]
-            self._own = [{number: own for own, number in reversed(numbers.items())} for numbers in self._old.numbers]
+            self._own = [{number: own for own, number in numbers.items()} for numbers in self._old.numbers]
         self._native = self._mode != "message" and reader.kind == self._kind
         self.keeps_rest = self._native and all(
             isinstance(part, SqliteReader) and not part.damaged for part in self._parts
@@ -84,10 +84,7 @@ class Rosbag2Writer:
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
         """Add a topic with the encoding and QoS of another one; return it with a new id."""
-        definition = retyped(self._reader, msgtype, like)
-        channel = Channel(max([*self._reader.channels, *self._fresh], default=0) + 1, topic, msgtype, like.encoding)
-        self._fresh[channel.id] = (channel, definition)
-        return channel
+        return self._channels.add(topic, msgtype, like.encoding, retyped(self._reader, msgtype, like))
 
     def provenance(self, name: str, items: Mapping[str, str]) -> None:
         """Write provenance metadata to custom_data and to the first file."""
@@ -96,10 +93,11 @@ class Rosbag2Writer:
 
     def write(self, block: Block) -> None:
         """Write a block to the file it came from, its added messages last."""
-        part, own = (block.raw.part, block.raw.own) if isinstance(block.raw, PartFraming) else (0, block)
+        part, own = block.part, self._own[block.part]
         messages = [one._replace(channel=self._written_id(part, one.channel)) for one in block.added]
-        written = Block(block.data, own.table, own.raw, messages, own.ends, block.changed)
-        if self._mode == "message" and (len(own.table) or messages):
+        table = with_ids(block.table, own.__getitem__) if part else block.table
+        written = replace(block, table=table, added=messages, part=0)
+        if self._mode == "message" and (len(table) or messages):
             written = compressed_block(written, self._level)
         self._writers[part].write(written)
 
@@ -108,30 +106,20 @@ class Rosbag2Writer:
         for writer in self._writers:
             writer.settle()
 
-    def _described(self, channel: int) -> TopicInfo:
-        if channel in self._fresh:
-            known, definition = self._fresh[channel]
-        elif channel in self._reader.channels:
-            known = self._reader.channels[channel]
-            definition = self._reader.definition(known)
-        else:
-            raise BagError(f"channel {channel}: is neither in the bag nor added to it")
-        return TopicInfo(known.topic, known.encoding, definition)
-
-    def _written_id(self, part: int, channel: int) -> int:
+    def _written_id(self, part: int, number: int) -> int:
         """Return a channel's id in a file; the channel is added at its first use."""
-        if self._old is None and channel not in self._fresh:
-            return channel
-        if channel not in self._own[part]:
-            info = self._described(channel)
-            msgtype = (self._fresh[channel][0] if channel in self._fresh else self._reader.channels[channel]).msgtype
-            made = self._writers[part].add_defined(info.name, msgtype, info.encoding, info.definition)
-            self._own[part][channel] = made.id
-        return self._own[part][channel]
+        if self._old is None and number not in self._channels.added:
+            return number
+        if number not in self._own[part]:
+            channel, definition = self._channels.described(number)
+            made = self._writers[part].add_defined(channel.topic, channel.msgtype, channel.encoding, definition)
+            self._own[part][number] = made.id
+        return self._own[part][number]
 
     def _metadata(self) -> str:
         """Return the text of metadata.yaml: the input's with the contents that were counted, or a new one."""
-        topics = [self._described(one) for one in [*self._reader.channels, *self._fresh]]
+        described = [self._channels.described(one) for one in [*self._reader.channels, *self._channels.added]]
+        topics = [TopicInfo(channel.topic, channel.encoding, definition) for channel, definition in described]
         suffix = SUFFIXES[0] if self._mode == "file" else ""
         found = [writer.contents() for writer in self._writers]
         parts = [part._replace(name=part.name + suffix) for part in found]
@@ -172,11 +160,9 @@ class Rosbag2Writer:
 
     def _writer(self, part: BagReader, target: Path) -> PartWriter:
         if self._kind == "mcap":
-            # another file's bytes are taken over only by a writer that knows their reader
-            source: Any = ReframedReader(part) if isinstance(part, McapReader) and not self._native else part
             codec = "none" if self._codec is None and self._mode != "none" and not self._native else self._codec
             level = self._level if self._mode == "none" else None
-            return McapWriter(Output(target), source, codec, level, workers=self._workers)
+            return McapWriter(Output(target), part, codec, level, workers=self._workers, native=self._native)
         if self._native and isinstance(part, SqliteReader):
             beside = len(self._names()) == 1 and self._workers is not None and self._workers.threads > 1
             return SqliteWriter(target, part, copying_thread=beside)
