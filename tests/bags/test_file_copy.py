@@ -175,10 +175,15 @@ def corrupt_database(source, target, threads, **options):
     return (target if target.is_file() else target / OFFICE_DB.name).read_bytes()
 
 
-@pytest.mark.parametrize("source", [OFFICE, OFFICE_DB], ids=["directory", "file"])
-@pytest.mark.parametrize("held", [0, 16 << 20])
-@pytest.mark.parametrize("options", [{}, {"keep_truth": "/odom_true"}], ids=["", "keeping truth"])
-@pytest.mark.parametrize("slow", [False, True])
+@pytest.mark.parametrize(
+    ("source", "held", "options", "slow"),
+    [
+        (OFFICE, 0, {}, True),
+        (OFFICE, 16 << 20, {"keep_truth": "/odom_true"}, True),
+        (OFFICE_DB, 0, {"keep_truth": "/odom_true"}, False),
+        (OFFICE_DB, 16 << 20, {}, False),
+    ],
+)
 def test_the_thread_changes_no_byte(source, held, options, slow, tmp_path, monkeypatch):
     monkeypatch.setattr(sqlite_writer, "_HELD_BYTES", held)
     one = corrupt_database(source, tmp_path / f"one{source.suffix}", 1, **options)

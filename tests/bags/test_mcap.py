@@ -33,8 +33,8 @@ CHUNK, MESSAGE_INDEX, FOOTER, DATA_END = 6, 7, 2, 15
 
 @pytest.fixture(scope="module", params=VARIANTS)
 def variant(request, tmp_path_factory):
-    options = {"chunk_size": 25_000, **VARIANTS[request.param]}
-    return office_variant(tmp_path_factory.mktemp("variant") / "in.mcap", 12.0, **options)
+    options = {"chunk_size": 9_000, **VARIANTS[request.param]}
+    return office_variant(tmp_path_factory.mktemp("variant") / "in.mcap", 4.0, **options)
 
 
 def test_nothing_patched_keeps_every_message_channel_and_extra(variant, tmp_path):
@@ -49,15 +49,7 @@ def test_nothing_patched_keeps_every_message_channel_and_extra(variant, tmp_path
 
 def test_records_of_the_data_section_stay_in_place(variant, tmp_path):
     out = copy(variant, tmp_path / "out.mcap")
-    rebuilt = (
-        "MessageIndex",
-        "ChunkIndex",
-        "AttachmentIndex",
-        "MetadataIndex",
-        "Statistics",
-        "SummaryOffset",
-        "Footer",
-    )
+    rebuilt = {"MessageIndex", "ChunkIndex", "AttachmentIndex", "MetadataIndex", "Statistics"}
 
     def data(path):
         records = mcap_records(path)

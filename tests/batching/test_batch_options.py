@@ -28,8 +28,10 @@ OPTIONS = {
 }
 
 
-@pytest.mark.parametrize("name", BAGS)
-@pytest.mark.parametrize("options", OPTIONS)
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [*((name, "all") for name in BAGS), *zip(BAGS, ("truth", "localisation", "correction"), strict=True)],
+)
 def test_options_of_corruption_give_the_bytes_of_the_command_in_the_manifest(name, options, here, monkeypatch):
     monkeypatch.setattr("odomcorrupt.batching.patch_batch.PORTION_MESSAGES", 300)
     assert run(["batch", name, "runs", "--runs", "2", *NOISE, *OPTIONS[options]]) == 0

@@ -1,10 +1,8 @@
 """Zero parameters: the bag as it is, through files and pipes alike."""
 
-import shutil
-import sqlite3
 import subprocess
 import sys
-from contextlib import closing, redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
 
@@ -61,18 +59,6 @@ def test_a_container_option_is_heeded(bag, tmp_path):
     assert (tmp_path / "out.mcap").read_bytes() != content
     piped = run("-", "-", "--odom", "/odom", "--compression", "none", stdin=content)
     assert piped.stdout == (tmp_path / "out.mcap").read_bytes()
-
-
-def test_what_is_in_the_log_of_a_database_is_not_left_behind(tmp_path):
-    source = tmp_path / "in.db3"
-    shutil.copy(FIXTURES / "office_ros2/office_ros2.db3", source)
-    with closing(sqlite3.connect(source)) as writer:
-        writer.execute("PRAGMA journal_mode = WAL")
-        writer.execute("DELETE FROM messages WHERE rowid > 1000")
-        writer.commit()
-        assert run(source, tmp_path / "out.db3").returncode == 0
-    with closing(sqlite3.connect(tmp_path / "out.db3")) as written:
-        assert written.execute("SELECT count(*) FROM messages").fetchone() == (1000,)
 
 
 def test_a_cut_pipe_is_an_error_and_leaves_no_file(bag, tmp_path):

@@ -15,7 +15,7 @@ from drives import model
 from mcap.writer import CompressionType, Writer
 from test_run import bytes_of
 
-from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.bags.open import open_reader
 from odomcorrupt.cli import run
 from odomcorrupt.corruption.run import Container, corrupt_bag
 from odomcorrupt.corruption.transform import Options
@@ -163,16 +163,3 @@ def _wait_for(condition):
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.01)
-
-
-@pytest.mark.parametrize("threads", [1, 2])
-def test_the_file_itself_appears_only_when_all_is_written(threads, tmp_path):
-    source, target = FIXTURES / "office.mcap", tmp_path / "out.mcap"
-    from odomcorrupt.bags.pipeline import Workers
-
-    with Workers(threads) as workers, open_reader(source) as reader:
-        with open_writer(target, reader, workers=workers) as writer:
-            for block in reader.blocks():
-                writer.write(block)
-            assert not target.exists()
-        assert target.exists()

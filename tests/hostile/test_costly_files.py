@@ -63,11 +63,15 @@ MAPS = {
 }
 
 
+@pytest.fixture(scope="module")
+def _imported():
+    run(["info", OFFICE, "--json"])
+
+
 @pytest.fixture(autouse=True)
-def at_once(tmp_path, monkeypatch, capsys):
+def at_once(_imported, tmp_path, monkeypatch, capsys):
     """Run in an empty folder, and require one line on stderr and three seconds of computing time at most."""
     monkeypatch.chdir(tmp_path)
-    run(["info", OFFICE, "--json"])  # imports
     capsys.readouterr()
     begun = time.process_time()
     yield

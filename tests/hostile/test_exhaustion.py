@@ -22,7 +22,7 @@ def call(*words, limit, most, stdin=subprocess.DEVNULL):
     return done.returncode, done.stderr
 
 
-@pytest.mark.parametrize("most", range(12, 20))
+@pytest.mark.parametrize("most", [12, 14, 16, 18])
 def test_a_batch_with_few_descriptors_ends_and_says_why(most, tmp_path):
     words = ["batch", OFFICE, tmp_path / "runs", "--runs", "3", "--jobs", "2", "--seed", "1", "-q"]
     code, said = call(*words, limit=resource.RLIMIT_NOFILE, most=most)

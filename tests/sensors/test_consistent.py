@@ -75,6 +75,11 @@ def write(path, turning=1.0):
     return path
 
 
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    return write(tmp_path_factory.mktemp("drive") / "in")
+
+
 def read(path):
     found = {}
     with AnyReader([path], default_typestore=STORE) as reader:
@@ -91,8 +96,8 @@ def integrated(left, right):
     return np.column_stack((np.cumsum(ds * np.cos(middle)), np.cumsum(ds * np.sin(middle)), yaw[1:]))
 
 
-def test_whoever_integrates_wheels_or_gyro_gets_the_noisy_odometry(tmp_path):
-    source, target = write(tmp_path / "in"), tmp_path / "out"
+def test_whoever_integrates_wheels_or_gyro_gets_the_noisy_odometry(source, tmp_path):
+    target = tmp_path / "out"
     done = odomcorrupt.corrupt(source, target, model=NOISE, seed=3, consistent=True)
     assert done.outcome.with_true_motion == []
     before, after = read(source), read(target)
@@ -131,16 +136,15 @@ def test_whoever_integrates_wheels_or_gyro_gets_the_noisy_odometry(tmp_path):
     assert {m.linear_acceleration.z for m in after["/imu"]} == {-9.8}
 
 
-def test_without_the_option_they_stay_and_are_named(tmp_path):
-    done = odomcorrupt.corrupt(write(tmp_path / "in"), tmp_path / "out", model=NOISE, seed=3)
-    before, after = read(tmp_path / "in"), read(tmp_path / "out")
+def test_without_the_option_they_stay_and_are_named(source, tmp_path):
+    done = odomcorrupt.corrupt(source, tmp_path / "out", model=NOISE, seed=3)
+    before, after = read(source), read(tmp_path / "out")
     named = ["/imu", "/joint_states", "/left_encoder", "/ticks"]
     assert done.outcome.with_true_motion == named
     assert all(repr(before[topic]) == repr(after[topic]) for topic in named)
 
 
-def test_a_batch_has_the_bytes_of_single_runs(tmp_path):
-    source = write(tmp_path / "in")
+def test_a_batch_has_the_bytes_of_single_runs(source, tmp_path):
     options = {"model": NOISE, "seed": 3, "consistent": True}
     odomcorrupt.batch([source], tmp_path / "runs", runs=2, to="mcap", **options)
     odomcorrupt.corrupt(source, tmp_path / "one.mcap", run=1, **options)
