@@ -173,6 +173,7 @@ def test_a_sweep_says_the_drift_of_each_point_and_its_next_command_works(here, c
     assert run(shlex.split(following)[2:]) == 0
 
 
+@pytest.mark.slow
 def test_a_spread_differs_from_the_prediction_by_chance_as_rarely_as_it_says(here):
     """19 of 20 groups of 20 runs are said to be as predicted."""
     oc.batch("office.mcap", "runs", model="typical", runs=400, seed=5, output="trajectories")
