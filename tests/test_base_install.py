@@ -83,12 +83,6 @@ for call in (lambda: oc.score("runs"), lambda: oc.simulate(), lambda: oc.fit("a.
     except oc.OdomCorruptError as error:
         print(error)
 """
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=tmp_path,
-        env={"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.count("scipy is not installed; the study needs it") == 3
+    environment = {"PYTHONPATH": str(ROOT)}
+    said = subprocess.check_output([sys.executable, "-c", code], cwd=tmp_path, env=environment, text=True)
+    assert said.count("scipy is not installed; the study needs it") == 3
