@@ -147,18 +147,16 @@ def test_a_batch_without_a_seed_goes_on_with_its_own(here):
 
 
 OTHERWISE = {
-    "another model": ["--effect", "wheel_scale:e=0.01"],
-    "another --output": ["--output", "overlay"],
-    "other options": ["--twist", "keep"],
-    "another seed": ["--seed", "8"],
-}
+    "another model": "--effect=wheel_scale:e=0.01", "another --output": "--output=overlay",
+    "other options": "--twist=keep", "another seed": "--seed=8",
+}  # fmt: skip
 
 
 def test_what_was_begun_otherwise_is_refused_with_the_way_out(here, capsys):
     assert batch(1) == 0
     assert "odomcorrupt spread" not in capsys.readouterr().err  # of one run
     for named, more in OTHERWISE.items():
-        assert batch(2, *more) == 1
+        assert batch(2, more) == 1
         said = capsys.readouterr().err
         assert named in said
         assert "name another directory" in said

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from bagged import messages_in
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -138,10 +139,10 @@ def test_whoever_integrates_wheels_or_gyro_gets_the_noisy_odometry(source, tmp_p
 
 def test_without_the_option_they_stay_and_are_named(source, tmp_path):
     done = odomcorrupt.corrupt(source, tmp_path / "out", model=NOISE, seed=3)
-    before, after = read(source), read(tmp_path / "out")
     named = ["/imu", "/joint_states", "/left_encoder", "/ticks"]
     assert done.outcome.with_true_motion == named
-    assert all(repr(before[topic]) == repr(after[topic]) for topic in named)
+    before, after = ([m for m in messages_in(path) if m[0] in named] for path in (source, tmp_path / "out"))
+    assert before == after
 
 
 def test_a_batch_has_the_bytes_of_single_runs(source, tmp_path):
