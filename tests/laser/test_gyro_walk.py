@@ -9,9 +9,8 @@ import pytest
 import odomcorrupt as oc
 from odomcorrupt.simulation import Tracker, simulate
 from odomcorrupt.study.estimate.config import choose_approach
-from odomcorrupt.study.estimate.gyro_walk import with_bias_walks
 from odomcorrupt.study.estimate.problem import pose_problem
-from odomcorrupt.study.estimate.truth_bias import bias_steps
+from odomcorrupt.study.estimate.truth_bias import bias_steps, with_bias_walks
 from odomcorrupt.study.io import Source, read_runs
 
 EXACT = Tracker(rate_hz=100.0, sampling_jitter_s=0.0, noise_m=0.0, noise_rad=0.0, dropouts_per_min=0.0)

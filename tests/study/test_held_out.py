@@ -22,10 +22,10 @@ from odomcorrupt.study.estimate.calibrate import fit_robot, model_of
 from odomcorrupt.study.estimate.clocks import Clocks
 from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.outliers import heavy_tails
 from odomcorrupt.study.estimate.problem import pose_problem, undo
 from odomcorrupt.study.estimate.random_process import part_name
 from odomcorrupt.study.estimate.regressors import driving_motion
-from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.confidence import confidence, support_of

@@ -17,8 +17,8 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import simulate, simulate_without
 from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.drive_type import turns_at_rest
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.heading_source import turns_at_rest
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.candidates import score_terms
 from odomcorrupt.study.select.confidence import (

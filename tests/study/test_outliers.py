@@ -22,8 +22,14 @@ from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.outliers import during, odd_steps, single_events, slip_bursts
-from odomcorrupt.study.estimate.tails import heavy_tails, log_density_of_sums
+from odomcorrupt.study.estimate.outliers import (
+    during,
+    heavy_tails,
+    log_density_of_sums,
+    odd_steps,
+    single_events,
+    slip_bursts,
+)
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.io.encoders import encoder_effects
 from odomcorrupt.study.select.confidence import confidence, noise_support

@@ -12,7 +12,7 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.effects.wheels import brings_track
 from odomcorrupt.study.design.drives import best_plan, missing_motion
 from odomcorrupt.study.design.information import sizes
-from odomcorrupt.study.estimate.heading_source import GAINS_OF_TURNS
+from odomcorrupt.study.estimate.drive_type import GAINS_OF_TURNS
 
 if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect

@@ -26,16 +26,15 @@ from odomcorrupt.errors import EffectError
 from odomcorrupt.model.correlation import Correlation
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup
 from odomcorrupt.model.noise_laws import LAWS
-from odomcorrupt.study.estimate.clocks import Clocks, find_clocks, levelled
+from odomcorrupt.study.estimate.clocks import Clocks, find_clocks, find_setup, levelled, mounting_of
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
-from odomcorrupt.study.estimate.drift_error import ten_second_error
 from odomcorrupt.study.estimate.drive_type import drive_type_of
-from odomcorrupt.study.estimate.extrinsics import find_setup, mounting_of
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
 from odomcorrupt.study.estimate.noise_likelihood import HIGHEST, LOWEST, NAMES, NoiseLikelihood, pseudo_inverse
 from odomcorrupt.study.estimate.random_process import without_process
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
+from odomcorrupt.study.estimate.windows import ten_second_error
 from odomcorrupt.study.io.encoders import restore_lost
 from odomcorrupt.study.io.first_look import factors_of
 from odomcorrupt.study.io.recording import content_of, shared_frame

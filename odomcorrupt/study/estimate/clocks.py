@@ -1,4 +1,4 @@
-"""Estimation of each recording's clock offset and rate, the first step of a fit."""
+"""Set-up of recordings, the first step of a fit: clock offset and rate, and mounting of the truth's tracked point."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ import numpy as np
 from scipy.stats import chi2
 
 from odomcorrupt.effects import effect_from_values, registry
+from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import FitError, RecordingError
 from odomcorrupt.study.estimate.drive_type import MOUNTING, drive_type_of, mountings
-from odomcorrupt.study.estimate.gauss_newton import fit_problem, prior_deviations
+from odomcorrupt.study.estimate.gauss_newton import Fit, fit, fit_problem, prior_deviations
 from odomcorrupt.study.estimate.problem import pose_problem, undo
-from odomcorrupt.study.estimate.windows import phased_rmse
+from odomcorrupt.study.estimate.windows import phased_rmse, ten_second_error
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders, coarse_clock
 from odomcorrupt.study.io.first_look import factors_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.io.recording import Recording
 
+_MOUNTED = 1e-4
+"""Significance level of a lever arm or mounting yaw."""
 _CLOCK_LIMIT = float(np.sqrt(chi2.isf(1e-4, 1)))
 _RANGE = 2.0
 """Half width of the range of an offset, in standard errors."""
@@ -296,3 +299,59 @@ def _preferred(runs: Sequence[Recording], clock: _Found, nothing: _Found, rivals
     if own > max(gains, default=0.0):
         return replace(clock, margins_nats=tuple(own - gain for gain in gains))
     return replace(nothing, ambiguous_nats=max(own, 0.0))
+
+
+def mounting_of(recordings: Sequence[Recording], beside: Sequence[Effect] = ()) -> tuple[Effect, ...]:
+    """Return lever arm and mounting yaw as effects to free in every fit, if the truth comes from a sensor on the robot.
+
+    The scans determine a laser's mounting better than it is ever measured. Effects in `beside` are left out.
+    """
+    aboard = any(r.positioned and (r.matched or r.truth.relative) for r in recordings)
+    there = _with_aliases(beside)
+    return tuple(registry()[name]() for name in MOUNTING if aboard and name not in there)
+
+
+def _with_aliases(effects: Sequence[Effect]) -> set[str | None]:
+    """Return the names of effects and of those with the same error."""
+    names = {name for effect in effects for name in (effect.name, effect.aliased_with)}
+    return names | {name for name, kind in registry().items() if kind.aliased_with in names}
+
+
+def find_setup(
+    recordings: Sequence[Recording], effects: Sequence[Effect], clocks: Clocks, approach: Approach
+) -> tuple[Effect, ...]:
+    """Return the significant ones of lever arm and mounting yaw, shared by all recordings.
+
+    They are estimated with the usual systematic effects free, which are then discarded. One that is not significant,
+    that increases the drift, or that is aliased with a requested effect is left out.
+
+    effects : requested effects
+    clocks : clocks of the recordings
+    approach : intervals, side of the regressors and noise law
+    """
+    kinds, asked = registry(), _with_aliases(effects)
+    near = {effect.name: effect for effect in clocks.beside}
+
+    def usual(names: Iterable[str]) -> list[Effect]:
+        return [near.get(name, kinds[name]()) for name in names if name not in asked]
+
+    names = nuisance_of(recordings)
+    free, beside = (usual(name for name in names if (name in MOUNTING) is ours) for ours in (True, False))
+    if not free:
+        return ()
+
+    def fitted(*together: Effect) -> Fit:
+        return fit(
+            recordings, together, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach, start=clocks.noise
+        )
+
+    best = fitted(*free, *beside, *effects)
+    there = [e for e in best.effects[: len(free)] if chi2.sf(best.wald[e.name], len(amplitudes(e))) < _MOUNTED]
+    if not there:
+        return ()
+    alone = fitted(*there, *effects)
+    found = alone.effects[: len(there)]
+    better = ten_second_error(alone) <= ten_second_error(fitted(*effects))
+    # one near its bound compensates for another cause
+    plausible = all(2.0 * abs(getattr(e, p.name)) < p.high for e in found for p in amplitudes(e))
+    return found if better and plausible else ()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.model.noise_laws import law_named
-from odomcorrupt.study.estimate.heading_source import sees_travel, turns_at_rest
+from odomcorrupt.study.estimate.drive_type import sees_travel, turns_at_rest
 from odomcorrupt.study.estimate.intervals import TURN_M
 from odomcorrupt.study.estimate.regressors import choose_side, truth_noise
 

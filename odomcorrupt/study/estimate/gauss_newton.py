@@ -223,9 +223,7 @@ def fit_problem(
             weights = _carried(weights, weighted, problem)
         columns = design_matrix(problem, free)
         components = VarianceComponents(approach.law, problem.intervals, problem.steps, gyro_noise=approach.gyro_noise)
-        noise = _fitted_noise(
-            problem, components, columns, coefficients, start=start, weights=weights, elsewhere=i == 0, bursts=bursts
-        )
+        noise = _fitted_noise(problem, components, columns, coefficients, start=start, weights=weights, bursts=bursts)
         start, weighted = noise.free, problem
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
         whole = noise.theta if held is None else _held_step(noise, begun, effects, held)

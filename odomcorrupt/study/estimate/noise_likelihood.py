@@ -127,8 +127,6 @@ _FAR, _NEAREST = 3.0, 1e-3
 _DIFFERENCE = 1e-5
 """Step of the log determinant's difference, in logarithms; the maximum moves by half of it."""
 _RIDGE = 1e-6
-_BENDS = (0.7, 3.0)
-"""Bounds of the ratio of the curvature along a step to that of the information matrix."""
 
 
 def prior_of_errors(free: Array) -> float:
@@ -264,20 +262,12 @@ class NoiseLikelihood:
             low[fixed] = high[fixed] = free[fixed]
         return self._ascend(np.clip(free, low, high), low, high, _NATS if fixed is None else _PROFILE_NATS)
 
-    def restart(self, done: NoiseFit) -> NoiseFit:
-        """Return the better of a maximum and the one reached from a start without near-zero coefficients.
+    def revived(self, free: Array) -> Array:
+        """Return noise (m,) with near-zero coefficients raised to where the likelihood has a gradient.
 
         Noise of travel, of turns and a random walk of the truth are aliased at constant speed, and early steps may
         reduce a coefficient to where the likelihood has no gradient.
         """
-        if not np.any(done.free[: len(self._components.active)] < np.log(_DEAD)):
-            return done
-        start = self.revived(done.free)
-        start[-1] = _TRUTH_LOW[-1]
-        return max(done, self.maximise(start), key=self.posterior)
-
-    def revived(self, free: Array) -> Array:
-        """Return noise (m,) with near-zero coefficients raised to where the likelihood has a gradient."""
         active = len(self._components.active)
         coefficients, truth = free[:active], free[active:]
         lively = np.where(coefficients < np.log(_DEAD), np.log(_FAINT), coefficients)
@@ -311,24 +301,20 @@ class NoiseLikelihood:
         Ends when the next step's predicted gain is below `enough` nats.
         """
         movable = np.flatnonzero(low < high)
-        done, reach, bend = self.evaluate(begin), _FAR, 1.0
+        done, reach = self.evaluate(begin), _FAR
         slope, information = self.derivatives(done, movable)
         for _ in range(_MOST_STEPS):
             here = done.free[movable]
             room = np.maximum(low[movable] - here, -reach), np.minimum(high[movable] - here, reach)
-            step = _best_step(slope, bend * information, *room)
-            curvature = float(step @ information @ step)
-            if float(slope @ step) - 0.5 * bend * curvature < enough:
+            step = _best_step(slope, information, *room)
+            if float(slope @ step - 0.5 * step @ information @ step) < enough:
                 break
             free = done.free.copy()
             free[movable] += step
             new = self.evaluate(np.clip(free, low, high))
             if self.posterior(new) > self.posterior(done):
-                done, before = new, slope
-                slope, information = self.derivatives(new, movable)
-                reach = min(2.0 * reach, _FAR)
-                # outliers make the curvature at the maximum larger than the average information
-                bend = float(np.clip((before - slope) @ step / curvature, *_BENDS))
+                done, reach = new, min(2.0 * reach, _FAR)
+                slope, information = self.derivatives(done, movable)
             else:
                 reach = 0.3 * min(reach, float(np.abs(step).max()))
                 if reach < _NEAREST:
@@ -416,7 +402,6 @@ def fit_noise(
     headings: bool = True,
     start: Array | None = None,
     weights: Array | None = None,
-    elsewhere: bool = False,
     bursts: bool = False,
 ) -> NoiseFit:
     """Return maximum-likelihood coefficients and truth noise; columns (K, 3, q) are free linear terms throughout.
@@ -428,7 +413,6 @@ def fit_noise(
     headings : whether the truth has headings; if not, its heading noise is held at a large constant
     start : (m,) noise of an earlier fit, see `NoiseFit.free`; default: an initial guess
     weights : (K,) robust weights to keep, so that likelihoods can be compared; default: estimated
-    elsewhere : whether `start` is from a fit with other columns; then the fit is also tried from revived coefficients
     bursts : whether the model has slip bursts; then any number of outliers is accepted
     """
 
@@ -438,13 +422,12 @@ def fit_noise(
     likelihood = weighted(np.ones(len(intervals)) if weights is None else weights)
     guess = likelihood.initial_guess()
     if start is None or len(start) != len(guess):
-        plain = likelihood.restart(likelihood.maximise(guess))
+        plain = likelihood.maximise(guess)
     elif weights is not None:
         plain = likelihood.maximise(start)
     else:
         # a coefficient that fell to zero while effects were still wrong may be non-zero now
         plain = likelihood.maximise(likelihood.revived(start))
-        plain = likelihood.restart(plain) if elsewhere else plain
     if weights is not None:
         return plain
     done = plain

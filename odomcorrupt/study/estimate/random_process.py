@@ -118,16 +118,14 @@ def fit_noise_beside(
     *,
     start: Array | None = None,
     weights: Array | None = None,
-    elsewhere: bool = False,
     bursts: bool = False,
 ) -> NoiseFit:
     """Return the noise fitted to the residuals without the random coefficients' part; see `fit_noise` for the rest."""
     intervals, headings = problem.intervals, problem.headings
     if not random or start is None:
         noise = fit_noise(
-            intervals, components, columns,
-            headings=headings, start=start, weights=weights, elsewhere=elsewhere, bursts=bursts,
-        )  # fmt: skip
+            intervals, components, columns, headings=headings, start=start, weights=weights, bursts=bursts
+        )
         if not random:
             return noise
     else:

@@ -16,10 +16,9 @@ from scipy.linalg import eigh
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.study.estimate.config import INTERVAL_S
-from odomcorrupt.study.estimate.drive_type import drive_type_of
+from odomcorrupt.study.estimate.drive_type import drive_type_of, sees_travel, stands_still
 from odomcorrupt.study.estimate.gauss_newton import orthonormal
-from odomcorrupt.study.estimate.heading_source import sees_travel, stands_still
-from odomcorrupt.study.estimate.outliers import slip_bursts
+from odomcorrupt.study.estimate.outliers import heavy_tails, slip_bursts
 from odomcorrupt.study.estimate.random_process import (
     CORRELATED_NOISE,
     FINELY,
@@ -31,7 +30,6 @@ from odomcorrupt.study.estimate.random_process import (
     with_random,
     without_random,
 )
-from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.select.score import project_out
 
 if TYPE_CHECKING:

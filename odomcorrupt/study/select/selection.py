@@ -16,16 +16,14 @@ import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import EffectError, FitError
-from odomcorrupt.study.estimate.clocks import find_clocks, levelled, with_rounding
+from odomcorrupt.study.estimate.clocks import find_clocks, levelled, mounting_of, with_rounding
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
-from odomcorrupt.study.estimate.drift_error import ten_second_error
-from odomcorrupt.study.estimate.extrinsics import mounting_of
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
-from odomcorrupt.study.estimate.gyro_walk import with_bias_walks
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
-from odomcorrupt.study.estimate.windows import phased_rmse
+from odomcorrupt.study.estimate.truth_bias import with_bias_walks
+from odomcorrupt.study.estimate.windows import phased_rmse, ten_second_error
 from odomcorrupt.study.io.clock import Clock, clock_leaders
 from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
 from odomcorrupt.study.select.candidates import drop_term, score_terms, tested_candidates

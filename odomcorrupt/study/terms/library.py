@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import choices
 from odomcorrupt.effects.wheels import brings_track
-from odomcorrupt.study.estimate.drive_type import MOUNTING, DriveType, drive_type_of, mountings
-from odomcorrupt.study.estimate.heading_source import is_yaw_gain_of
+from odomcorrupt.study.estimate.drive_type import MOUNTING, DriveType, drive_type_of, is_yaw_gain_of, mountings
 from odomcorrupt.study.estimate.regressors import drives_sideways
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.terms.term import LibraryTerm

@@ -19,12 +19,11 @@ import numpy as np
 
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.estimate.calibrate import model_of
-from odomcorrupt.study.estimate.drift_error import Drift, ten_second_error, with_truths_corrected
 from odomcorrupt.study.estimate.gauss_newton import fit_problem
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, part_name
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
-from odomcorrupt.study.estimate.windows import phased_misses
+from odomcorrupt.study.estimate.windows import Drift, phased_misses, ten_second_error, with_truths_corrected
 from odomcorrupt.study.io.clock import aligned
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.confidence import EVEN_ODDS, confidence, noise_support, support_of
