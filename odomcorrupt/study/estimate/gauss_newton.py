@@ -263,13 +263,10 @@ def prior_deviations(effects: Sequence[Effect]) -> Array:
 
 def _held_step(noise: NoiseFit, begun: Sequence[Effect], now: Sequence[Effect], held: Array) -> Array:
     """Return the step (q,) to the maximum of likelihood times prior; see `fit_problem` for the prior's `held`."""
-    away = _made(begun, now, np.zeros(0))
-    precision = np.zeros(len(noise.theta))
-    precision[: len(held)] = 1.0 / np.square(held)
-    pull = np.zeros(len(noise.theta))
-    pull[: len(held)] = -precision[: len(held)] * away
+    away = _made(begun, now, np.zeros(len(noise.theta)))
+    precision = np.diag(np.append(held**-2.0, np.zeros(len(away) - len(held))))
     normal = pseudo_inverse(noise.theta_covariance)
-    return pseudo_inverse(normal + np.diag(precision)) @ (normal @ noise.theta + pull)
+    return pseudo_inverse(normal + precision) @ (normal @ noise.theta - precision @ away)
 
 
 def _extrapolated(step: Array, before: Array, made: Array) -> Array:

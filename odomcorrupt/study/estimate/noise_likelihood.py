@@ -129,11 +129,6 @@ _DIFFERENCE = 1e-5
 _RIDGE = 1e-6
 
 
-def prior_of_errors(free: Array) -> float:
-    """Return the log prior (nats) of logarithms (2,) of a localisation's errors in position (m) and heading (rad)."""
-    return -0.5 * float(np.sum(((free - _USUAL) / _SPREAD) ** 2))
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseFit:
     """Fitted noise with its log likelihood (nats).
@@ -247,7 +242,9 @@ class NoiseLikelihood:
 
     def posterior(self, noise: NoiseFit) -> float:
         """Return the log posterior of a fit, nats: its log likelihood plus the log prior of a localisation's errors."""
-        return noise.log_likelihood + (prior_of_errors(noise.free[-3:-1]) if self._localised else 0.0)
+        if not self._localised:
+            return noise.log_likelihood
+        return noise.log_likelihood - 0.5 * float(np.sum(((noise.free[-3:-1] - _USUAL) / _SPREAD) ** 2))
 
     def maximise(self, free: Array, *, fixed: int | None = None) -> NoiseFit:
         """Return the fit of largest posterior from a start (m,); less precise with one held (for a profile)."""

@@ -285,15 +285,11 @@ def _comes_back(fit: Fit, group: NDArray[np.int64], flagged: NDArray[np.int64], 
 
 def _slip(lost: Array, path: Array, track_m: float | None) -> float:
     """Return the fraction of distance lost, with a known track by the wheel that lost more."""
-    if track_m is None:
-        return _part(float(lost[0]), float(path[0]))
-    lost_by, gone = rims_of(lost[0], lost[2], track_m), rims_of(path[0], path[2], track_m)
-    more = max((0, 1), key=lambda wheel: abs(lost_by[wheel]))
-    return _part(float(lost_by[more]), float(gone[more]))
-
-
-def _part(lost: float, path: float) -> float:
-    return lost / path if abs(path) > 1e-3 else 0.0
+    lost_m, gone_m = float(lost[0]), float(path[0])
+    if track_m is not None:
+        both = zip(rims_of(lost[0], lost[2], track_m), rims_of(path[0], path[2], track_m), strict=True)
+        lost_m, gone_m = max(((float(a), float(b)) for a, b in both), key=lambda wheel: abs(wheel[0]))
+    return lost_m / gone_m if abs(gone_m) > 1e-3 else 0.0
 
 
 def slip_bursts(fit: Fit) -> Effect | None:

@@ -104,7 +104,8 @@ def with_robust_errors(fitted: Fit, shaped: Container[str] = ()) -> Fit:
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     covariance = np.linalg.pinv(normal * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale)
     covariance = covariance[: design.shape[2]]
-    variance = np.diag(covariance) * _between_blocks(problem, white @ covariance.T, fitted.noise.innovations)
+    ratio, dof = between_blocks(np.repeat(block_of(problem), 3), white @ covariance.T, fitted.noise.innovations)
+    variance = np.diag(covariance) * inflation(ratio, dof, shared_variance(ratio, dof))
     own, errors = len(fitted.standard_errors), np.sqrt(variance)
     free, leaders = np.array(fitted.free_clocks), clock_leaders(problem.recordings)
     clock_errors = np.zeros(free.shape)
@@ -122,12 +123,3 @@ def _moved_shape(problem: Problem, effect: Effect, p: Parameter) -> Array:
         sides.append((value, problem.columns(moved) @ np.array([getattr(effect, q.name) for q in amplitudes(effect)])))
     (high, more), (low, less) = sides
     return (more - less) / max(high - low, 1e-12)
-
-
-def _between_blocks(problem: Problem, pull: Array, r: Array) -> Array:
-    """Return the ratio (q,) of the estimates' variances between blocks to those of the model, at least 1.
-
-    pull : (3 K, q) weight of each innovation `r` (3 K,) in each estimate
-    """
-    variance, dof = between_blocks(np.repeat(block_of(problem), 3), pull, r)
-    return inflation(variance, dof, shared_variance(variance, dof))

@@ -119,7 +119,7 @@ def bias_steps(problem: Problem) -> tuple[Array, Array]:
         step_s = max(_WALK_STEP_S, (last_s - first_s) / _MOST_STEPS)
         later = intervals.start_s[:, None] >= np.arange(first_s + step_s, last_s, step_s)
         steps.append(np.sqrt(step_s) * turn * later)
-    return _of_turns(np.concatenate(start, axis=1)), _of_turns(np.concatenate(steps, axis=1))
+    return _of_turn(np.concatenate(start, axis=1)), _of_turn(np.concatenate(steps, axis=1))
 
 
 def turn_errors(problem: Problem, noise: NoiseFit) -> Array:
@@ -159,11 +159,7 @@ def _strains(problem: Problem, along: Array) -> tuple[Array, Array]:
 
 
 def _of_turn(yaw: Array) -> Array:
-    return np.column_stack((np.zeros((len(yaw), 2)), yaw))
-
-
-def _of_turns(yaw: Array) -> Array:
-    """Return columns (K, 3, m) of turns (K, m) alone."""
+    """Return columns (K, 3, ...) of turns (K, ...) alone."""
     return np.stack((np.zeros_like(yaw), np.zeros_like(yaw), yaw), axis=1)
 
 

@@ -294,10 +294,8 @@ class PositionWindows(NamedTuple):
         turned, trans, across = (part[self.source] * self.share for part in (v.rot1 + v.rot2, v.trans, v.across))
         axis = self.axis
         if law.along_travel:
-            bearing = np.arctan2(steps.dl_m, steps.ds_m)[self.source]
-            c, s = np.cos(bearing), np.sin(bearing)
-            axis = np.stack((c * axis[:, 0] - s * axis[:, 1], s * axis[:, 0] + c * axis[:, 1]), axis=1)
-        side = np.stack((-axis[:, 1], axis[:, 0]), axis=1)
+            axis = rotate(axis, np.arctan2(steps.dl_m, steps.ds_m)[self.source])
+        side = _quarter(axis)
         found = []
         for window in self.windows:
             pairs = [(turned, window.turn)]
@@ -421,7 +419,10 @@ def with_truths_corrected(recordings: Sequence[Recording], fitted: Fit) -> list[
     if not has_bias(fitted.problem):
         return list(recordings)
     errors = scale_errors(fitted.problem, fitted.noise).tolist()
-    scaled = [_scaled(recording, 1.0 / (1.0 + error)) for recording, error in zip(recordings, errors, strict=True)]
+    scaled = [
+        replace(r, truth=replace(r.truth, xyt=r.truth.xyt / (1.0 + error, 1.0 + error, 1.0)))
+        for r, error in zip(recordings, errors, strict=True)
+    ]
     return with_gyros_corrected(scaled, fitted)
 
 
@@ -447,11 +448,6 @@ def _turned(recording: Recording, fitted: Fit, number: int, turns: Array) -> Rec
     steps = rotate(np.diff(truth.xyt[:, :2], axis=0), 0.5 * (more[1:] + more[:-1]))
     xy = truth.xyt[0, :2] + np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
     return replace(recording, truth=replace(truth, xyt=np.column_stack((xy, truth.xyt[:, 2] + more))))
-
-
-def _scaled(recording: Recording, factor: float) -> Recording:
-    """Return a recording with all lengths of its truth multiplied by a factor."""
-    return replace(recording, truth=replace(recording.truth, xyt=recording.truth.xyt * (factor, factor, 1.0)))
 
 
 def ten_second_error(fitted: Fit) -> float:
