@@ -369,7 +369,7 @@ def _steps_shown(v: Array, omega: Array, dt_s: Array) -> _Shown | None:
     if not usual_s > 0.0:
         return None
     for scale in (dt_s / usual_s, np.ones_like(dt_s)):
-        along, turn = _step(v * scale), _step(omega * scale)
+        along, turn = step_of(v * scale), step_of(omega * scale)
         if along is not None and turn is not None:
             return _Shown(along, turn, scale)
     return None
@@ -394,7 +394,7 @@ def _flicker(speed: Array) -> float:
     return float(np.mean(turns[moves])) if moves.any() else 0.0
 
 
-def _step(values: Array) -> float | None:
+def step_of(values: Array) -> float | None:
     """Return the step of which values (n,) are multiples: the least difference of two of them, refined; or None."""
     size = np.abs(values[values != 0.0])
     largest = float(size.max(initial=0.0))

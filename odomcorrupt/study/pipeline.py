@@ -15,8 +15,8 @@ from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, part_name
 from odomcorrupt.study.estimate.windows import with_gyros_corrected
+from odomcorrupt.study.io.encoders import thinned
 from odomcorrupt.study.io.first_look import factors_of
-from odomcorrupt.study.io.message_rate import thinned
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.contribution import contributions
 from odomcorrupt.study.select.decisions import DECISIONS

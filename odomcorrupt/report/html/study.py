@@ -57,8 +57,7 @@ from odomcorrupt.report.plots.comparison import (
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.validate.calibration import HORIZONS_M
 from odomcorrupt.study.validate.compare import agreement_of
-from odomcorrupt.study.validate.error_rates import CHANNELS, interval_motion
-from odomcorrupt.study.validate.lack_of_fit import all_patterns
+from odomcorrupt.study.validate.lack_of_fit import CHANNELS, all_patterns, interval_motion
 from odomcorrupt.study.validate.predictive_check import replay
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from odomcorrupt.report.plots.figure import (
 from odomcorrupt.report.plots.paths import draw_paths
 from odomcorrupt.study.design.plan import STEP_S, Plan
 from odomcorrupt.study.estimate.windows import distance_windows
-from odomcorrupt.study.validate.error_rates import CHANNELS, interval_motion, joint_rates, unit_columns
+from odomcorrupt.study.validate.lack_of_fit import CHANNELS, interval_motion, joint_rates, unit_columns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -430,6 +431,63 @@ def _mistake(pattern: Pattern, look: Look, figures: Figures) -> Mistake:
     words = {key: f"{value:.3g}" if isinstance(value, float) else value for key, value in words.items()}
     texts = (pattern.seen, pattern.causes, pattern.change, pattern.then)
     return Mistake(pattern.name, *(text.format(**words) for text in texts))
+
+
+_COPIED_WINDOW_S = 0.5
+_LAG_STEPS_S = (1.0, 0.02, 0.002, 0.0002)
+"""Largest lag of a copied travel, and steps of the search for it."""
+_NO_SENSOR_M, _NO_SENSOR = 1e-4, 5e-4
+"""Usual difference of travel in half a second, m and relative to the travel, that no sensor reaches: in 15 recordings
+by others it is 0.2 mm and more."""
+_ROUGH_M, _AS_ROUGH = 1e-6, 0.3
+"""Noise of odometry's steps, m, of which less is rounding of a smooth simulation; that of the truth relative to it."""
+
+
+def check_travel(odometry: Samples, truth: Samples) -> None:
+    """Refuse a truth whose travel is the odometry's with its noise, at whatever lag and rate.
+
+    Filters that take speed from the wheels and heading from a gyro have slip, ticks and noise of the wheels in their
+    travel. Exact poses of a simulator may agree as well, but they are smooth where the odometry has ticks.
+
+    Raises
+    ------
+    RecordingError
+        With the difference found and the remedy.
+    """
+    if not truth.headed or truth.covariance is not None or truth.relative:
+        return
+    own, real = (_travel(path, int(odometry.stamps_ns[0])) for path in (odometry, truth))
+    rough_m, truly_m = (_noise_of_steps(np.diff(path.sums[:, 0])) for path in (own, real))
+    if rough_m < _ROUGH_M or truly_m < _AS_ROUGH * rough_m:
+        return
+    reach_s = _LAG_STEPS_S[0]
+    starts = np.arange(max(own.t_s[0], real.t_s[0]), min(own.t_s[-1], real.t_s[-1]), _COPIED_WINDOW_S)
+    starts = starts[(starts >= own.t_s[0] + reach_s) & (starts < own.t_s[-1] - reach_s - _COPIED_WINDOW_S)]
+    own_m = own.within(starts, _COPIED_WINDOW_S)[:, 0]
+    used = _moving(own_m)
+    if used.sum() < 2 * _FEWEST:
+        return
+    starts, own_m = starts[used], own_m[used]
+
+    def off_m(lag_s: float) -> float:
+        return float(np.median(np.abs(real.within(starts + lag_s, _COPIED_WINDOW_S)[:, 0] - own_m)))
+
+    lag_s = 0.0
+    for reach_s, step_s in pairwise(_LAG_STEPS_S):
+        lag_s = min(np.arange(lag_s - reach_s, lag_s + reach_s, step_s).tolist(), key=off_m)
+    found_m, gone_m = off_m(lag_s), float(np.median(np.abs(own_m)))
+    if found_m < min(_NO_SENSOR_M, _NO_SENSOR * gone_m):
+        raise RecordingError(
+            f"{truth.place}: repeats the travel of {odometry.name} with its noise and slip (usually to "
+            f"{found_m * 1e3:.2g} mm in {gone_m * 1e3:.0f}): a filter that takes its speed from these wheels, so that "
+            "errors of travel cannot be seen; name a truth that does not come from them"
+        )
+
+
+def _noise_of_steps(steps_m: Array) -> float:
+    """Return the usual noise of a step (n,) while the robot moves, from second differences of the steps, m."""
+    rough = np.abs(np.diff(steps_m, n=2))[_moving(steps_m)[2:]]
+    return float(np.median(rough)) / np.sqrt(20.0) if len(rough) else 0.0
 
 
 def multiplied(path: Trajectory, travel: float, turn: float) -> Trajectory:

@@ -18,9 +18,9 @@ import numpy as np
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
 from odomcorrupt.laser.calibrate import hand_eye
-from odomcorrupt.study.io.columns import guess_tick
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.segments import MIN_HEADED_S
+from odomcorrupt.study.io.text import guess_tick
 
 if TYPE_CHECKING:
     from collections.abc import Container, Sequence

@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, wrap
-from odomcorrupt.study.io.plausibility import check_travel
+from odomcorrupt.study.io.first_look import check_travel
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array

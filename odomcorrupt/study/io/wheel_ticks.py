@@ -15,6 +15,7 @@ import numpy as np
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError, TopicError
+from odomcorrupt.geometry.motion import step_of
 from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.topic_selection import near
@@ -33,11 +34,6 @@ _SPACING_S = 0.2
 _LAGS_S = np.arange(-0.2, 0.2001, 0.02)
 _MAX_RESIDUAL = 0.03  # largest relative residual of the regression
 _RADII_M, _TRACKS_M = (5e-3, 2.0), (0.02, 10.0)  # plausible ranges
-_MIN_REGULARITY = 0.95  # least mean cosine of steps that are multiples of a count
-_STILL_RAD = 1e-9
-_MAX_COUNTS = 200.0  # larger steps, in counts, do not determine the count
-_MIN_COUNTS = 3
-_ROUNDED_RAD = 1e-5  # smaller differences of steps are rounding
 _REPORTED_LAG_S = 0.01  # shorter lags are not reported
 
 
@@ -57,16 +53,12 @@ class Wheels:
 
     radius_m, track_m : values used by the driver
     heading : whether the turns agree with the wheels', to within 3 %
-    tick_rad : angle per encoder count, None if the angles show no counts
-    lag_s : time by which the odometry's stamps are behind the wheels'
     notes : findings, for reports
     """
 
     radius_m: float
     track_m: float
     heading: bool
-    tick_rad: float | None
-    lag_s: float
     notes: tuple[str, ...]
 
 
@@ -156,7 +148,6 @@ def wheels_of(angles: WheelAngles, odometry: Samples) -> Wheels:
             "m); name its wheels with --joints LEFT RIGHT, or leave it out"
         )
     heading = bool(miss[1] < _MAX_RESIDUAL and _TRACKS_M[0] < track < _TRACKS_M[1])
-    tick = _tick(angles.angle)
     notes = [f"{names}: wheels of {radius:.3g} m by the odometry's own sums"]
     if heading:
         notes[0] += f", {track:.3g} m apart: its nominal radius and track"
@@ -164,21 +155,16 @@ def wheels_of(angles: WheelAngles, odometry: Samples) -> Wheels:
         notes.append(
             f"the odometry does not turn as {names} do ({miss[1]:.0%} off): its heading is not the wheels' alone"
         )
-    if tick is not None:
+    if (tick := step_of(np.diff(angles.angle, axis=0).ravel())) is not None:
         notes.append(
             f"{names}: angles come in counts of {tick:.4g} rad ({2 * np.pi / tick:.0f} a turn, "
             f"{1e3 * tick * radius:.2g} mm)"
-        )
-    lost = _late_counts(angles.angle)
-    if lost:
-        notes.append(
-            f"{names}: {lost} times a wheel's angle stayed for one message and caught up in the next: late counts"
         )
     if abs(lag_s) > _REPORTED_LAG_S:
         notes.append(
             f"odometry is stamped {abs(lag_s):.2f} s {'after' if lag_s > 0.0 else 'before'} the wheels' angles"
         )
-    return Wheels(radius, track, heading, tick, lag_s, tuple(notes))
+    return Wheels(radius, track, heading, tuple(notes))
 
 
 def odometry_of_wheels(angles: WheelAngles, wheels: Wheels, odometry: Samples) -> Samples:
@@ -221,34 +207,3 @@ def _unwrapped(angle: Array) -> Array:
     if np.ptp(angle) > 2.0 * np.pi + 0.1:
         return angle
     return np.unwrap(angle, axis=0)
-
-
-def _tick(angle: Array) -> float | None:
-    """Return the angle per encoder count: the largest of which all steps are multiples, or None."""
-    steps = np.abs(np.diff(angle, axis=0)).ravel()
-    steps = steps[steps > _STILL_RAD]
-    if len(steps) < _MIN_SAMPLES:
-        return None
-    # Neighbours among the distinct steps differ by one count.
-    values = np.unique(np.round(steps, 7))
-    gaps = np.diff(values)[np.diff(values) > _ROUNDED_RAD]
-    if len(gaps) < _MIN_COUNTS:
-        return None
-    tick = float(np.median(gaps))
-    for _ in range(3):
-        count = np.round(steps / tick)
-        small = (count < _MAX_COUNTS) & (count > 0)
-        if not small.any():
-            return None
-        tick = float(np.sum(steps[small] * count[small]) / np.sum(count[small] ** 2))
-    regular = float(np.mean(np.cos(2.0 * np.pi * steps[small] / tick)))
-    return tick if regular > _MIN_REGULARITY and len(np.unique(count[small])) > _MIN_COUNTS else None
-
-
-def _late_counts(angle: Array) -> int:
-    """Return how often a wheel stops for one message between two with motion, the second about twice the first."""
-    step = np.diff(angle, axis=0)
-    before, here, after = np.abs(step[:-2]), np.abs(step[1:-1]), np.abs(step[2:])
-    return int(
-        np.count_nonzero((here < _STILL_RAD) & (before > _STILL_RAD) & (after > 1.7 * before) & (after < 2.3 * before))
-    )

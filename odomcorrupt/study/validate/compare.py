@@ -26,8 +26,7 @@ from odomcorrupt.study.estimate.gauss_newton import fit_problem
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned
-from odomcorrupt.study.io.encoders import restore_lost
-from odomcorrupt.study.io.message_rate import thinned
+from odomcorrupt.study.io.encoders import restore_lost, thinned
 from odomcorrupt.study.io.recording import was_fitted
 from odomcorrupt.study.validate.calibration import CURVE_M, HORIZONS_M, Horizon
 from odomcorrupt.study.validate.cross_validation import HELD_BY, split_of

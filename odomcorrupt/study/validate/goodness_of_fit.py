@@ -18,7 +18,7 @@ import numpy as np
 from scipy.stats import binom, chi2, norm
 
 from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.validate.error_rates import CHANNELS
+from odomcorrupt.study.validate.lack_of_fit import CHANNELS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
