@@ -8,7 +8,7 @@ all the localisation's and contain no information on the robot.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import chi2
@@ -32,13 +32,6 @@ _MIN_VARIANCE = 0.05
 """Lower limit of a drawn variance, relative to the model's."""
 
 
-class Drawn(NamedTuple):
-    """Factors on the mean NEES (draws,), and mean squared offsets per degree of freedom (draws,)."""
-
-    scale: Array
-    offset: Array
-
-
 @dataclass(frozen=True, slots=True)
 class ParameterUncertainty:
     """Sensitivity of window errors to one standard error of each parameter.
@@ -56,18 +49,6 @@ class ParameterUncertainty:
     def certain(self) -> bool:
         """Whether all parameters count as exact."""
         return not (len(self.scale) or self.gram.any() or self.truth.any())
-
-    def draw(self, rng: np.random.Generator, draws: int, spread: float) -> Drawn:
-        """Return draws of the NEES's scale and offset within the parameters' errors; spread as in `drawn_truth`."""
-        scale = 1.0 + rng.standard_normal((draws, len(self.scale))) @ self.scale
-        scale *= self.drawn_truth(rng, draws, spread)
-        by = rng.standard_normal((draws, len(self.gram)))
-        return Drawn(np.maximum(scale, _MIN_VARIANCE), np.maximum(np.einsum("di,ij,dj->d", by, self.gram, by), 0.0))
-
-    @staticmethod
-    def drawn_truth(rng: np.random.Generator, draws: int, spread: float) -> Array:
-        """Return log-normal factors (draws,) on a square with relative standard deviation `spread`; 1 for 0."""
-        return np.exp(spread * rng.standard_normal(draws)) if spread > 0.0 else np.ones(draws)
 
 
 def uncertainty_of(
@@ -206,24 +187,26 @@ def horizon_of(distance_m: float, parts: Sequence[tuple[WindowErrors, ParameterU
 def _chance_means(parts: Sequence[tuple[WindowErrors, ParameterUncertainty]], count: int) -> Array:
     """Return draws of the mean NEES per degree of freedom under the model and its parameter uncertainty."""
     rng = np.random.default_rng(_SEED)
-    total = np.zeros(_DRAWS)
-    freedom = sum(len(errors) for errors, _ in parts) * count
-    for errors, uncertainty in parts:
-        total += _squares(errors, uncertainty, rng, len(errors) * count, float(uncertainty.truth.mean()))
-    return total / freedom
+    sums = [_squares(part, own, rng, len(part) * count, float(own.truth.mean())) for part, own in parts]
+    return np.asarray(np.sum(sums, axis=0) / (sum(len(part) for part, _ in parts) * count))
 
 
 def _squares(
     errors: WindowErrors, uncertainty: ParameterUncertainty, rng: np.random.Generator, freedom: int, spread: float
 ) -> Array:
-    """Return draws of the sum of normalised squares of one part under the model.
+    """Return draws of the sum of normalised squares of one part under the model, within the parameters' errors.
 
     freedom : number of squares; spread : their relative standard deviation from errors of the truth
     """
-    scale, offset = uncertainty.draw(rng, _DRAWS, spread)
+    scale = 1.0 + rng.standard_normal((_DRAWS, len(uncertainty.scale))) @ uncertainty.scale
+    if spread > 0.0:
+        scale *= np.exp(spread * rng.standard_normal(_DRAWS))
+    scale = np.maximum(scale, _MIN_VARIANCE)
+    by = rng.standard_normal((_DRAWS, len(uncertainty.gram)))
+    offset = freedom * np.maximum(np.einsum("di,ij,dj->d", by, uncertainty.gram, by), 0.0)
     if errors.shared is None:
-        return scale * rng.noncentral_chisquare(freedom, freedom * offset)
-    return scale * (_draws(errors, rng) + freedom * offset)
+        return scale * rng.noncentral_chisquare(freedom, offset)
+    return scale * (_draws(errors, rng) + offset)
 
 
 def _draws(errors: WindowErrors, rng: np.random.Generator) -> Array:

@@ -36,7 +36,7 @@ from odomcorrupt.study.io.headings import with_recomputed_headings
 from odomcorrupt.study.io.recording import Recording
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -98,15 +98,19 @@ def replay(piece: Evaluation, *, runs: int = 100) -> Replay:
     starts = stream(0, 0, "replay").standard_normal((runs, 3)) * np.array(
         [piece.truth.xy_m, piece.truth.xy_m, piece.truth.yaw_rad]
     )
-    poses, systematic = np.empty((runs, len(kept), 3)), SystematicEffects(model)
-    for run in range(runs):
-        error = NoisyPath(model, 0, run, covariance=False, systematic=systematic).feed(stamps, smooth).error_xyt
-        poses[run] = truth[kept] + error[kept]
+    first, poses = truth[0], np.empty((runs, len(kept), 3))
+    for run, error in enumerate(_errors_of_runs(model, stamps, smooth, runs)):
         # The true start is uncertain: the truth's noise turns and shifts the whole run.
-        first = truth[0]
-        poses[run] = compose(compose(compose(first, starts[run]), inverse(first)), poses[run])
-    own = compose(truth[0], between(measured.odometry.xyt[0], measured.odometry.xyt[kept]))
+        poses[run] = compose(compose(compose(first, starts[run]), inverse(first)), truth[kept] + error[kept])
+    own = compose(first, between(measured.odometry.xyt[0], measured.odometry.xyt[kept]))
     return Replay(travelled[kept], truth[kept], own, poses)
+
+
+def _errors_of_runs(model: MotionModel, stamps_ns: NDArray[np.int64], path: Array, runs: int) -> Iterator[Array]:
+    """Yield the errors (n, 3) of corrupted runs along a path (n, 3)."""
+    systematic = SystematicEffects(model)
+    for run in range(runs):
+        yield NoisyPath(model, 0, run, covariance=False, systematic=systematic).feed(stamps_ns, path).error_xyt
 
 
 def overlapping(recording: Recording) -> Recording:
@@ -270,20 +274,14 @@ def _corrupted(recording: Recording, model: MotionModel, truth: TruthNoise, runs
     true = Trajectory(stamps, smooth).at(truth_s, recording.origin_ns)
     if not recording.headed:
         true[:, 2] = np.where(np.isfinite(true[:, 2]), true[:, 2], 0.0)
-    found, systematic = [], SystematicEffects(model)
-    for run in range(runs):
-        try:
-            error = NoisyPath(model, 0, run, covariance=False, systematic=systematic).feed(stamps, smooth).error_xyt
-        except OdomCorruptError:
-            return []
-        noisy = true + _noise(truth, truth_s, run, headed=recording.headed)
-        found.append(
-            replace(
-                recording,
-                odometry=Trajectory(stamps, smooth + error),
-                truth=Trajectory(recording.truth.stamps_ns[inside], noisy),
-            )
-        )
+    found = []
+    try:
+        for run, error in enumerate(_errors_of_runs(model, stamps, smooth, runs)):
+            noisy = true + _noise(truth, truth_s, run, headed=recording.headed)
+            seen = Trajectory(recording.truth.stamps_ns[inside], noisy)
+            found.append(replace(recording, odometry=Trajectory(stamps, smooth + error), truth=seen))
+    except OdomCorruptError:
+        return []
     return found
 
 

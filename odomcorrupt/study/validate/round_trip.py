@@ -34,33 +34,21 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.effects.effect import Effect, Parameter
+    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.io.recording import Recording
 
 RUNS = 20
 """Corrupted runs that must succeed for a model with random effects; without these all runs are equal. The first covers
-all recordings, each other one a few minutes."""
+all recordings, each other one `_STRETCH_S` of one of them, because random effects show in a few minutes."""
 _STRETCH_S = 300.0
-"""Length of each run but the first, seconds. Random effects show in a few minutes; dependence on time, place and
-distance shows in the first run, over all data."""
-_SHORT_S = 1.0
 _LIMITS = (0.5, 0.3, 0.15)
 """Fractions of a motion to which a dependence is limited; the first one with an inverse is used."""
 _PART = re.compile(r"^(along|yaw|left|right|wheels) \+= (v|abs\(v\)|omega) \* \((.*)\)$")
 """A dependence as the selection writes it: a fraction of a motion, added to a channel."""
-_MAX_WORSE = 1.03
-"""Largest factor by which `correct` may increase the error of the fitted data."""
-_MAX_RATIO = 1.25
-"""Ratio of the 10 s error after `correct` to that of the fit from which a dependence is replaced."""
-_MIN_GAIN = 0.4
-"""Least fraction of a fit's gain, in mean squares, required of `correct` if effects read accelerations or places."""
-_MIN_MEAN = 0.05
-"""Least ratio of a dependence's mean to itself for a replacement by the mean."""
-_AT_BOUND = 1e-6
 _MIN_DIFFERENCE = 0.05
-"""Least relative difference of two errors whose reason is reported."""
+"""Relative difference within which two errors count as equal."""
 _MAX_NOMINAL = 1.5
 """Ratio of the true turn to the odometry's, or its inverse, from which a nominal value is reported as wrong."""
 
@@ -101,13 +89,10 @@ def verified_model(model: MotionModel, recordings: Sequence[Recording]) -> Round
     changes: list[str] = []
     left_out: dict[str, str] = {}
     model = _within_bounds(model, changes)
-    while True:
-        failure = _failure(model, drives) or _worse(model, drives)
-        if not failure:
-            break
-        repair = next((m for m in _repairs(model) if not (_failure(m[0], drives) or _worse(m[0], drives))), None)
+    while failure := _failure(model, drives):
+        repair = next((changed for changed in _repairs(model) if not _failure(changed[0], drives)), None)
         # If no single change helps, drop the weakest effect and try again.
-        repaired, change = repair or _without(model, _weakest(model))
+        repaired, change = repair or _without(model, _weakest_first(model)[0])
         changes.append(f"{change}: {failure}")
         left_out |= dict.fromkeys(_names(model) - _names(repaired), failure)
         model = repaired
@@ -130,7 +115,7 @@ def bound_notes(model: MotionModel) -> tuple[str, ...]:
     for effect in (*model.effects, *model.setup.effects):
         for p in amplitudes(effect):
             value = getattr(effect, p.name)
-            if value != p.identity and _on_bound(value, p):
+            if value != p.identity and min(value - p.low, p.high - value) <= 1e-6 * (p.high - p.low):
                 notes.append(
                     f"{effect.name}.{p.name} = {value:.4g} {p.unit}".rstrip() + " is at its physical bound: the "
                     "robot's nominal values, units or topics are wrong, or the cause is another one"
@@ -168,11 +153,6 @@ def _setup_note(model: MotionModel, recordings: Sequence[Recording]) -> list[str
 
 def _clock(model: MotionModel, recording: Recording) -> Clock:
     return Clock(*model.setup.clocks.get(recording.name, (0.0, 0.0)))
-
-
-def _on_bound(value: float, p: Parameter) -> bool:
-    room = p.high - p.low
-    return min(value - p.low, p.high - value) <= _AT_BOUND * room
 
 
 def _drive(model: MotionModel, recording: Recording) -> _Drive:
@@ -225,35 +205,19 @@ def _failure(model: MotionModel, drives: Sequence[_Drive]) -> str:
 
 
 def _driven(drives: Sequence[_Drive], run: int) -> Iterator[tuple[_Drive, slice]]:
-    """Yield drives with row ranges for a run: everything in the first run, `_STRETCH_S` in turn in the others."""
+    """Yield drives with row ranges for a run: everything in the first run, a stretch of one of them in the others."""
     if run == 0:
         yield from ((drive, slice(None)) for drive in drives)
         return
-    left_s = _STRETCH_S
-    for drive in (*drives[run % len(drives) :], *drives[: run % len(drives)]):
-        begin_s = drive.t_s[0] + max(float(drive.t_s[-1] - drive.t_s[0]) - left_s, 0.0) * run / (RUNS - 1)
-        first, last = np.searchsorted(drive.t_s, (begin_s, begin_s + left_s), side="right")
-        yield drive, slice(max(int(first) - 1, 0), int(last))
-        left_s -= float(drive.t_s[-1] - drive.t_s[0])
-        if left_s < _SHORT_S:
-            return
-
-
-def _worse(model: MotionModel, drives: Sequence[_Drive]) -> str:
-    """Return a message if `correct` increases the error of the fitted data though the fit did not; otherwise "".
-
-    The fit uses motion smoothed from both sides; the correction uses the raw motion.
-    """
-    if not any(effect.reads_truth for effect in model.effects):
-        return ""
-    left_m, plain_m = (_corrected_error(effects, model, drives) for effects in (model.effects, ()))
-    if not left_m > _MAX_WORSE * plain_m or not left_m > _MAX_WORSE * _fitted_error(model, drives):
-        return ""
-    return f"`correct` with it leaves {left_m * 1e3:.1f} mm after 10 s on the fitted data, {plain_m * 1e3:.1f} without"
+    turn, number = divmod(run, len(drives))
+    drive, share = drives[number], turn / max((RUNS - 1) // len(drives), 1)
+    begin_s = drive.t_s[0] + max(float(drive.t_s[-1] - drive.t_s[0]) - _STRETCH_S, 0.0) * share
+    first, last = np.searchsorted(drive.t_s, (begin_s, begin_s + _STRETCH_S), side="right")
+    yield drive, slice(max(int(first) - 1, 0), int(last))
 
 
 def _correctable(model: MotionModel, drives: Sequence[_Drive]) -> tuple[MotionModel, list[str]]:
-    """Return the model with the least error after `correct` if that clearly exceeds the fit's error, and a sentence.
+    """Return the simplest model with about the least error after `correct` if that exceeds the fit's, and a sentence.
 
     The fit uses accelerations of smoothed motion, the correction those between successive poses unless the odometry is
     rough. A dependence that switches with the acceleration may then correct less than its mean would.
@@ -265,29 +229,29 @@ def _correctable(model: MotionModel, drives: Sequence[_Drive]) -> tuple[MotionMo
     if not left_m > (1.0 + _MIN_DIFFERENCE) * fitted_m:
         return model, []
     errors = f"leaves {left_m * 1e3:.1f} mm after 10 s on the fitted data, the fit {fitted_m * 1e3:.1f} mm"
-    plain_m = _corrected_error([e for e in model.effects if e not in reading], model, drives)
-    # A small remaining gain is specific to these data and does not transfer, unless it is small because odometry that
-    # drifts meets places too early or too late: corruption follows the true path and needs these effects.
-    little = left_m**2 > _MIN_GAIN * fitted_m**2 + (1.0 - _MIN_GAIN) * plain_m**2
-    little &= left_m > plain_m or not all(effect.reads_places for effect in reading)
-    if little or left_m > _MAX_RATIO * fitted_m:
-        means = [_mean_of(model, law, drives) for law in reading if isinstance(law, UserEffect)]
-        others = [*(m for m in means if m is not None), *(_without(model, effect) for effect in reversed(reading))]
-        usable = [one for one in others if not _failure(one[0], drives)]
-        errors_m = [_corrected_error(other.effects, other, drives) for other, _ in usable]
-        if errors_m and (little or min(errors_m) < left_m):
-            other, change = usable[int(np.argmin(errors_m))]
-            other, more = _correctable(other, drives)
-            return other, [f"{change}, which leaves {min(errors_m) * 1e3:.1f} mm: `correct` with it {errors}", *more]
+    placed = all(effect.reads_places for effect in reading)
+    means = [_mean_of(model, law, drives) for law in reading if isinstance(law, UserEffect)]
+    others = [*(m for m in means if m is not None), *(_without(model, effect) for effect in reversed(reading))]
+    usable = [
+        (_corrected_error(other.effects, other, drives), other, change)
+        for other, change in others
+        if not _failure(other, drives)
+    ]
+    least_m, other, change = min(usable, key=lambda one: one[0], default=(np.inf, model, ""))
+    # A small gain is specific to these data, unless it is small because odometry that drifts meets places too early or
+    # too late: corruption follows the true path and needs these effects.
+    if least_m < left_m * (1.0 if placed else 1.0 + _MIN_DIFFERENCE):
+        other, more = _correctable(other, drives)
+        return other, [f"{change}, which leaves {least_m * 1e3:.1f} mm: `correct` with it {errors}", *more]
     names = " and ".join(effect.name for effect in reading)
     why = "reads accelerations or places, and from one pose to the next these are rougher than the fit's smooth ones"
-    if all(effect.reads_places for effect in reading):
+    if placed:
         why = "acts at places, which drifting odometry reaches too early or too late; corruption follows the true path"
     return model, [f"`correct` with this model {errors}: {names} {why}"]
 
 
 def _mean_of(model: MotionModel, law: UserEffect, drives: Sequence[_Drive]) -> tuple[MotionModel, str] | None:
-    """Return the model with a dependence replaced by its mean, and the change; None if the mean is about zero."""
+    """Return the model with a dependence replaced by its mean, and the change; None if it has no such form."""
     match = _PART.match(law.expression.text)
     values = {p.name: float(getattr(law, p.name)) for p in parameters(law)}
     if match is None or set(values) != {"k"}:
@@ -297,8 +261,6 @@ def _mean_of(model: MotionModel, law: UserEffect, drives: Sequence[_Drive]) -> t
     motions = [MotionSmoother([drive.recording], "odometry").recorded for drive in drives]
     moved = [np.concatenate([error_of(one, m) * m.dt_s[:, None] for m in motions]) for one in (law, even)]
     share = float(np.sum(moved[0] * moved[1]) / max(np.sum(moved[1] ** 2), 1e-300))
-    if not abs(share) > _MIN_MEAN:
-        return None
     mean = user_effect(law.name, even.expression.text, {"k": share * values["k"]}, {}, words)
     errors = dict(model.standard_errors)
     if (own := f"{law.name}.k") in errors:
@@ -340,7 +302,7 @@ def _repairs(model: MotionModel) -> Iterator[tuple[MotionModel, str]]:
             effects = tuple(limited.get(e.name) or e for e in model.effects)
             said = f"{' and '.join(changed)} held within {limit:g} of the motion"
             yield replace(model, effects=effects), said
-    for effect in (*_random(model), *reversed(laws), *(e for e in model.effects if e.reads_truth)):
+    for effect in _weakest_first(model):
         yield _without(model, effect)
 
 
@@ -363,11 +325,9 @@ def _without(model: MotionModel, effect: Effect) -> tuple[MotionModel, str]:
     return replace(model, effects=others), f"{effect.name} ({numbers}{text}) left out"
 
 
-def _random(model: MotionModel) -> list[Effect]:
-    return [effect for effect in model.effects if effect.kind == "noise" and effect.acts]
-
-
-def _weakest(model: MotionModel) -> Effect:
-    """Return the effect to drop if no single change helps: dependences before random effects, the latest first."""
-    laws = [effect for effect in model.effects if isinstance(effect, UserEffect)]
-    return [*model.effects, *_random(model), *laws][-1]
+def _weakest_first(model: MotionModel) -> list[Effect]:
+    """Return the effects in the order in which they are dropped: dependences, random effects, others, latest first."""
+    latest = model.effects[::-1]
+    laws = [effect for effect in latest if isinstance(effect, UserEffect)]
+    random = [effect for effect in latest if effect.kind == "noise" and effect.acts]
+    return [*laws, *random, *(effect for effect in latest if effect not in (*laws, *random))]
