@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -107,8 +107,6 @@ _MIN_NATS_PER_INTERVAL = 0.3
 so if it is most of the residual."""
 _MAX_NOISE_RATIO, _ROBUST_ROUNDS = 5.0, 6
 """Bound of a truth's noise relative to that of its samples (a tracker's filter hides some); rounds of the estimate."""
-_LEAST_SQUARE = 1e-12
-_HALF = float(np.sqrt(2.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,7 +157,7 @@ class Evaluation:
         The level of noise differs between drives; this score compares the models of the motion only.
         """
         square = self.innovations.reshape(-1, 3)[:, self.recording.axes] ** 2
-        size = np.maximum(square.mean(axis=0), _LEAST_SQUARE)
+        size = np.maximum(square.mean(axis=0), 1e-12)
         return self.interval_nats + 0.5 * np.sum(square * (1.0 - 1.0 / size) - np.log(size), axis=1)
 
     def chains(self) -> list[Array]:
@@ -213,7 +211,7 @@ def evaluate_stretch(
     truth = model.setup.truth or _robust_truth(intervals, q, recording)[0]
     if model.setup.truth is not None and inflation == 1.0:
         truth = _own_truth(intervals, q, truth, recording)
-    band = whitener(intervals, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
+    band = _whitener(intervals, q, truth, recording)
     random = [effect for effect in model.effects if effect.name in CORRELATED_NOISE]
     white = widened(band, problem, random)
     innovations = white.whiten(intervals.residual)
@@ -261,32 +259,36 @@ def _own_truth(intervals: Intervals, q: Array, stated: TruthNoise, recording: Re
     the noise that the truth's own samples show.
     """
     own, usual = _robust_truth(intervals, q, recording)
-    most = _max_noise(recording, stated)
-    own = TruthNoise(*(min(one, bound) for one, bound in zip(_numbers(own), _numbers(most), strict=True)))
-
-    def nats(truth: TruthNoise) -> float:
-        white = whitener(intervals, usual, truth if recording.headed else replace(truth, yaw_rad=UNKNOWN_RAD))
-        return white.log_likelihood(white.whiten(intervals.residual))
-
-    return own if nats(own) - nats(stated) > _MIN_NATS_PER_INTERVAL * len(intervals) else stated
+    own = TruthNoise(*map(min, astuple(own), _max_noise(recording, stated)))
+    nats = _nats(intervals, usual, own, recording) - _nats(intervals, usual, stated, recording)
+    return own if nats > _MIN_NATS_PER_INTERVAL * len(intervals) else stated
 
 
-def _max_noise(recording: Recording, stated: TruthNoise) -> TruthNoise:
-    """Return an upper bound of a truth's noise from its own samples; infinite if they do not show it.
+def _max_noise(recording: Recording, stated: TruthNoise) -> Sequence[float]:
+    """Return upper bounds (3,) of a truth's noise from its own samples; infinite if they do not show it.
 
     Errors of a localisation, of matched scans and of other odometry are correlated from sample to sample. Satellite
     reception may differ between drives, so the bound is at least the stated noise.
     """
     truth = recording.truth
     if recording.localised or truth.covariance is not None or not recording.headed:
-        return TruthNoise(np.inf, np.inf, np.inf)
+        return (np.inf,) * 3
     x, y, yaw = (_MAX_NOISE_RATIO * truth_noise(truth)).tolist()
-    xy = float(np.hypot(x, y)) / _HALF
-    return TruthNoise(max(xy, stated.xy_m), max(yaw, stated.yaw_rad), max(xy, stated.random_walk))
+    xy = float(np.hypot(x, y)) / np.sqrt(2.0)
+    return [max(pair) for pair in zip((xy, yaw, xy), astuple(stated), strict=True)]
 
 
-def _numbers(truth: TruthNoise) -> tuple[float, float, float]:
-    return truth.xy_m, truth.yaw_rad, truth.random_walk
+def _nats(intervals: Intervals, q: Array, truth: TruthNoise, recording: Recording) -> float:
+    """Return the log likelihood of residuals, the odometry's covariances being q (K, 3, 3); -1e12 if it has none."""
+    try:
+        white = _whitener(intervals, q, truth, recording)
+    except FitError:
+        return -1e12
+    return white.log_likelihood(white.whiten(intervals.residual))
+
+
+def _whitener(intervals: Intervals, q: Array, truth: TruthNoise, recording: Recording) -> Whitener:
+    return whitener(intervals, q, truth if recording.headed else replace(truth, yaw_rad=UNKNOWN_RAD))
 
 
 def _robust_truth(intervals: Intervals, q: Array, recording: Recording) -> tuple[TruthNoise, Array]:
@@ -297,41 +299,29 @@ def _robust_truth(intervals: Intervals, q: Array, recording: Recording) -> tuple
     """
     spread = (1.4826 * np.median(np.abs(intervals.residual), axis=0)) ** 2
     both = np.maximum(spread - np.median(np.einsum("kii->ki", q), axis=0), 0.1 * spread) / 2.0
-    low, high = np.log(2e-5), 0.0
-    start = np.clip([*np.log([max(both[0], both[1], 1e-12), max(both[2], 1e-12)]) / 2.0, np.log(1e-4)], low, high)
-    truth, usual = _unpacked(start, headed=recording.headed), q
+    bounds = np.log([(2e-5, 1.0), (2e-5, 1.0), (1e-6, 0.3)])
+    start = np.append(np.log(np.maximum((max(both[0], both[1]), both[2]), 1e-12)) / 2.0, np.log(1e-4))
+    start = np.clip(start, bounds[0, 0], 0.0)
+    truth, usual = TruthNoise(*np.exp(start).tolist()), q
     for _ in range(_ROBUST_ROUNDS):
         try:
-            white = whitener(intervals, usual, truth)
+            white = _whitener(intervals, usual, truth, recording)
         except FitError:
             break
         square = np.sum(white.whiten(intervals.residual).reshape(-1, 3) ** 2, axis=1)
         worse = outliers(square)
         if not worse.any():
             break
-        own = np.eye(3) * FLOOR + interval_covariance(intervals, usual, truth)
+        seen = truth if recording.headed else replace(truth, yaw_rad=UNKNOWN_RAD)
+        own = np.eye(3) * FLOOR + interval_covariance(intervals, usual, seen)
         usual = usual + np.where(worse, np.maximum(square / 3.0 - 1.0, 0.0), 0.0)[:, None, None] * own
-    return _most_likely_truth(intervals, usual, start, headed=recording.headed), usual
-
-
-def _most_likely_truth(intervals: Intervals, q: Array, start: Array, *, headed: bool) -> TruthNoise:
-    """Return the maximum-likelihood noise of the truth, given the odometry's covariances (K, 3, 3)."""
 
     def cost(free: Array) -> float:
-        try:
-            white = whitener(intervals, q, _unpacked(free, headed=headed))
-        except FitError:
-            return 1e12
-        return -white.log_likelihood(white.whiten(intervals.residual))
+        return -_nats(intervals, usual, TruthNoise(*np.exp(free).tolist()), recording)
 
-    bounds = [(np.log(2e-5), 0.0), (np.log(2e-5), 0.0), (np.log(1e-6), np.log(0.3))]
     found = minimize(cost, start, method="L-BFGS-B", bounds=bounds, options={"eps": 1e-4, "maxiter": 40}).x
-    return _unpacked(found, headed=headed)
-
-
-def _unpacked(free: Array, *, headed: bool) -> TruthNoise:
-    xy, yaw, random_walk = np.exp(free)
-    return TruthNoise(float(xy), float(yaw) if headed else UNKNOWN_RAD, float(random_walk))
+    xy, yaw, walk = np.exp(found).tolist()
+    return TruthNoise(xy, yaw if recording.headed else UNKNOWN_RAD, walk), usual
 
 
 _Summed = Literal["interval_nats", "sized_nats", "interval_metres"]
