@@ -132,14 +132,11 @@ def _lattice(travels: Sequence[Array], dt_s: Array) -> float | None:
     near = on[_STEPS_M[on] > 0.9 * _STEPS_M[last]]
     step = float(_STEPS_M[near[np.argmax(common[near])]])
     # Constant speed also gives equal increments, but without changes by a tick.
-    changes = min(_change_fraction(travel, dt_s, step) for travel in travels)
-    return step if changes > _MIN_CHANGES else None
-
-
-def _change_fraction(travel: Array, dt_s: Array, step: float) -> float:
-    """Return the fraction of moving increments (n,) that differ from their predecessor by at least half a step."""
-    moving = (np.abs(travel[1:]) > _STILL_M) | (np.abs(travel[:-1]) > _STILL_M)
-    return float(np.mean((_changes(travel, dt_s) > 0.5 * step)[moving]))
+    for travel in travels:
+        moving = (np.abs(travel[1:]) > _STILL_M) | (np.abs(travel[:-1]) > _STILL_M)
+        if not np.mean((_changes(travel, dt_s) > 0.5 * step)[moving]) > _MIN_CHANGES:
+            return None
+    return step
 
 
 def _changes(travel: Array, dt_s: Array) -> Array:
@@ -186,19 +183,14 @@ def thinned(recordings: Sequence[Recording]) -> list[Recording]:
     for recording in recordings:
         odometry = recording.odometry
         every = int(_PERIOD_S * (1.0 + _JITTER) * _rate_hz(odometry))
-        if every < 2 or _acts_per_message(recording):
+        lost = any(effect.name != "quantization" for effect in encoder_effects(recording)) if every > 1 else False
+        if every < 2 or lost or speeds_in_steps(recording):
             found.append(recording)
             continue
         few = known.setdefault(id(odometry), odometry.only(slice(None, None, every)))
         said = f"odometry at {_rate_hz(odometry):.0f} Hz: one pose of {every} is used"
         found.append(replace(recording.with_odometry(few), notes=(*recording.notes, said)))
     return found
-
-
-def _acts_per_message(recording: Recording) -> bool:
-    """Return whether each message may have lost something: its motion, or a part of a step of speed."""
-    lost = any(effect.name != "quantization" for effect in encoder_effects(recording))
-    return lost or speeds_in_steps(recording)
 
 
 def _rate_hz(odometry: Trajectory) -> float:

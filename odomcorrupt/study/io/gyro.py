@@ -7,7 +7,7 @@ headings; its positions are the odometry's travel along the gyro's headings, wit
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -187,7 +187,7 @@ def yaw_gyro(gyro: Gyro, odometry: Samples) -> YawGyro:
         notes.append(f"stamped {abs(lag_s):.3f} s {word} against the odometry's turns; taken out")
     notes.append(_SOURCES[source])
     said = tuple(f"{gyro.topic}: {note}" for note in notes)
-    return YawGyro(gyro.place, gyro.topic, stamps, rate - bias, source, said)
+    return replace(found, heading_source=source, notes=said)
 
 
 _SOURCES = {
@@ -234,8 +234,6 @@ def gyro_truth(odometry: Samples, gyro: YawGyro) -> Samples:
         stamps_ns=stamps,
         xyz=xyz,
         yaw_rad=gyro.heading_at(stamps),
-        log_ns=np.zeros(0, dtype=np.int64),
-        variance_m2=np.zeros(0),
         notes=gyro.notes,
         covariance=covariance,
         relative=True,

@@ -17,7 +17,7 @@ from __future__ import annotations
 from bisect import bisect_left, insort
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -284,15 +284,15 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     usual = 1.4826 * np.median(np.abs(apart[inside]), axis=0) / (1.18, 1.0)
     far = apart > np.maximum(_PEAK_SIGMAS * usual, _MIN_APART)
     out, near = far.any(axis=1), (apart > np.maximum(_STILL_SIGMAS * usual, _MIN_APART)).any(axis=1)
-    sudden = None if truth.localised else _Sudden(reach_of(odometry, truth), t_s[inside], difference)
+    reach = reach_of(odometry, truth)
     # An excursion includes its way out and back, and interruptions by noise.
     edges = np.flatnonzero(np.diff(np.concatenate(([0], near.astype(np.int8), [0]))))
     for first, end in edges.reshape(-1, 2):
         begin, after = first - inside[0], end - inside[0]
-        if sudden is not None:
-            back = sudden.between(begin, after)
-        else:
+        if truth.localised:
             back = bool((_returns(t_s[inside], difference, begin, after) | ~far[first:end].any(axis=0)).all())
+        else:
+            back = _is_sudden(reach, t_s[inside], difference, begin, after)
         out[first:end] = out[first:end].any() and back
     if not out.any() or out.mean() > _MAX_FRACTION:
         return whole
@@ -308,26 +308,22 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     return whole.only(kept, f"{what}, {len(rows)} poses, left out ({where}): errors of the {whose}")
 
 
-class _Sudden(NamedTuple):
-    """Test for sudden steps: the robot's reach, times (m,) and truth minus odometry (m, 3) in m, m, rad."""
+def _is_sudden(reach: Reach, t_s: Array, difference: Array, first: int, end: int) -> bool:
+    """Return whether the poses `first` to `end` begin or end with an impossible step while their neighbours agree.
 
-    reach: Reach
-    t_s: Array
-    difference: Array
+    difference : (m, 3) truth minus odometry at times (m,), in m, m, rad
+    """
+    if first < 1 or end >= len(t_s):
+        return False
 
-    def between(self, first: int, end: int) -> bool:
-        """Return whether poses first to end begin or end with an impossible step while their neighbours agree."""
-        if first < 1 or end >= len(self.t_s):
-            return False
-        slack = self.reach.noise + self.reach.top * (self.t_s[[first, end]] - self.t_s[[first - 1, end - 1]])[:, None]
-        steps = self._apart([first, end], [first - 1, end - 1])
-        stays = self._apart([end], [first - 1])
-        largest = self._apart(range(first, end), [first - 1]).max(axis=0)
-        return bool((steps > slack).any() and (stays < np.maximum(_MAX_LEFT * largest, _MIN_APART)).all())
-
-    def _apart(self, one: Sequence[int], other: Sequence[int]) -> Array:
-        moved = self.difference[one] - self.difference[other]
+    def apart(one: Sequence[int], other: Sequence[int]) -> Array:
+        moved = difference[one] - difference[other]
         return np.stack((np.linalg.norm(moved[:, :2], axis=1), np.abs(moved[:, 2])), axis=1)
+
+    slack = reach.noise + reach.top * (t_s[[first, end]] - t_s[[first - 1, end - 1]])[:, None]
+    largest = apart(range(first, end), [first - 1]).max(axis=0)
+    steps, stays = apart([first, end], [first - 1, end - 1]), apart([end], [first - 1])
+    return bool((steps > slack).any() and (stays < np.maximum(_MAX_LEFT * largest, _MIN_APART)).all())
 
 
 def _departures(

@@ -167,7 +167,6 @@ def truth_of(run: LaserRun) -> list[Samples]:
                 xyz=xyz,
                 yaw_rad=path.xyt[own, 2],
                 log_ns=sweeps.log_ns[path.row[own]],
-                variance_m2=np.zeros(0),
                 covariance=path.covariance[own],
             )
         )

@@ -7,7 +7,7 @@ for a clock set forward by more than an hour (a robot that receives the date aft
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,8 +52,8 @@ class Samples:
     stamps_ns: NDArray[np.int64]
     xyz: Array
     yaw_rad: Array
-    log_ns: NDArray[np.int64]
-    variance_m2: Array
+    log_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    variance_m2: Array = field(default_factory=lambda: np.zeros(0))
     notes: tuple[str, ...] = ()
     covariance: Array | None = None
     child: str = ""

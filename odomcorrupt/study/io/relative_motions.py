@@ -161,8 +161,6 @@ def _chain(motions: Motions, rows: NDArray[np.int64]) -> Samples:
         stamps_ns=np.concatenate((motions.start_ns[rows[:1]], motions.end_ns[rows])),
         xyz=np.column_stack((poses[:, :2], np.zeros(len(poses)))),
         yaw_rad=poses[:, 2],
-        log_ns=np.zeros(0, dtype=np.int64),
-        variance_m2=np.zeros(0),
         covariance=covariance,
         relative=True,
     )

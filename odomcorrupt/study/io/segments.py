@@ -91,7 +91,9 @@ def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: flo
             notes += restarts
         pieces.append([path.only(own) for own in rows])
     both = [(one, other) for one in pieces[0] for other in pieces[1]]
-    moved = _long_pairs([pair for pair in both if _shared_s(*pair) >= SHORTEST_S and _moves(pair[0])])
+    moved = [pair for pair in both if _shared_s(*pair) >= SHORTEST_S and _moves(pair[0])]
+    enough = [pair for pair in moved if _shared_s(*pair) >= (MIN_HEADED_S if pair[1].headed else _MIN_UNHEADED_S)]
+    moved = enough or moved
     if not moved:
         longest_s = max(_shared_s(*pair) for pair in both)
         raise RecordingError(
@@ -150,12 +152,6 @@ def _without_restarts(
             )
         parts += np.split(own, cuts)
     return parts, notes
-
-
-def _long_pairs(pairs: list[tuple[Samples, Samples]]) -> list[tuple[Samples, Samples]]:
-    """Return the pairs of odometry and truth with an overlap long enough for all of a study; if none has, all pairs."""
-    enough = [pair for pair in pairs if _shared_s(*pair) >= (MIN_HEADED_S if pair[1].headed else _MIN_UNHEADED_S)]
-    return enough or pairs
 
 
 def _with_margins(odometry: Samples, truth: Samples) -> tuple[Samples, Samples]:

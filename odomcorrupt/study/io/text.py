@@ -231,7 +231,6 @@ def read_text(path: Path, place: str) -> Samples:
         raise RecordingError(f"{place}: {W_FIRST}")
     if not columns.tick_ns and tick != 10**9:
         notes.append(f"stamps read as {_UNITS[tick]}")
-    none = np.zeros(0)
     return Samples(
         place=place,
         name=path.name,
@@ -239,8 +238,6 @@ def read_text(path: Path, place: str) -> Samples:
         stamps_ns=np.concatenate([part.stamps_ns for part in parts]),
         xyz=np.concatenate([part.xyz for part in parts]),
         yaw_rad=np.concatenate([part.yaw for part in parts]),
-        log_ns=none.astype(np.int64),
-        variance_m2=none,
         notes=tuple(f"{path.name}: {note}" for note in notes),
     )
 

@@ -199,7 +199,6 @@ class EdgeReader:
             total = composed(total, inverted(part) if back else part)
         if len(self.way) > 1:
             notes.append(f"{self.address}: composed of {names}")
-        none = np.zeros(0)
         return Samples(
             self.place,
             str(self.address),
@@ -207,9 +206,7 @@ class EdgeReader:
             stamps,
             total.xyz,
             headings(total.quat_xyzw),
-            none.astype(np.int64),
-            none,
-            tuple(notes),
+            notes=tuple(notes),
             child=self.way[-1][0].parent if self.way[-1][1] else self.way[-1][0].child,
             localised=found is not None,
         )

@@ -195,8 +195,6 @@ def odometry_of_wheels(angles: WheelAngles, wheels: Wheels, odometry: Samples) -
         stamps_ns=stamps,
         xyz=np.column_stack((xyt[:, :2], np.zeros(len(xyt)))),
         yaw_rad=xyt[:, 2],
-        log_ns=np.zeros(0, dtype=np.int64),
-        variance_m2=np.zeros(0),
         notes=odometry.notes,
         child=odometry.child,
     )

@@ -246,18 +246,16 @@ def _notes(model: MotionModel, pieces: Sequence[Evaluation]) -> tuple[str, ...]:
             f"the model states no noise of the truth; {truth.xy_m * 1e3:.2g} mm was estimated from these recordings"
         )
     elif any(piece.truth != model.setup.truth for piece in pieces if piece.headed and not piece.refitted):
-        own = "; ".join(_truth_words(piece) for piece in pieces)
+        own = "; ".join(
+            f"{piece.truth.xy_m * 1e3:.2g} mm" + (f", {degrees(piece.truth.yaw_rad):.2g} deg" if piece.headed else "")
+            for piece in pieces
+        )
         notes.append(
             f"its truth is noisier or better than that of the fitted recordings, and was weighted accordingly ({own})"
         )
     if not all(piece.headed for piece in pieces):
         notes.append("the truth has positions only: yaw is not evaluated")
     return tuple(notes)
-
-
-def _truth_words(piece: Evaluation) -> str:
-    heading = f", {degrees(piece.truth.yaw_rad):.2g} deg" if piece.headed else ""
-    return f"{piece.truth.xy_m * 1e3:.2g} mm{heading}"
 
 
 def _refit(model: MotionModel, recordings: Sequence[Recording], approach: Approach) -> MotionModel:
@@ -340,6 +338,10 @@ def agreement_of(comparison: Comparison) -> Agreement:
         Position error after 10 s (m), log likelihood (nats per metre) and absolute trajectory error (m).
     """
     first, last = comparison.evaluations[0], comparison.evaluations[-1]
+    gain, error = last.nats.gain_per_m, last.nats.gain_error
+    likelihood: Change = "same"
+    if isfinite(gain) and abs(gain) > _SIGMAS * (error if isfinite(error) else 0.0):
+        likelihood = "better" if gain > 0.0 else "worse"
     found = [
         Measure(
             "10 s error",
@@ -347,7 +349,7 @@ def agreement_of(comparison: Comparison) -> Agreement:
             last.ten_second_error_m,
             _of_errors(first.ten_second_error_m, last.ten_second_error_m, _ERROR_SHARE),
         ),
-        Measure("log likelihood", first.nats.per_m, last.nats.per_m, _of_likelihood(last)),
+        Measure("log likelihood", first.nats.per_m, last.nats.per_m, likelihood),
         Measure(
             "ATE",
             first.trajectory.ate_m,
@@ -368,10 +370,3 @@ def _of_errors(before: float, after: float, share: float) -> Change:
     if after < (1.0 - share) * before:
         return "better"
     return "worse" if after > (1.0 + share) * before else "same"
-
-
-def _of_likelihood(last: ModelEvaluation) -> Change:
-    gain, error = last.nats.gain_per_m, last.nats.gain_error
-    if not isfinite(gain) or abs(gain) <= _SIGMAS * (error if isfinite(error) else 0.0):
-        return "same"
-    return "better" if gain > 0.0 else "worse"

@@ -96,7 +96,9 @@ def trajectory_error(recordings: Sequence[Recording]) -> TrajectoryError:
     """Return the errors of the odometry at the truth's stamps, with each recording aligned separately."""
     aligned, origin, shift, turn = [], [], [], []
     for recording in recordings:
-        truth, estimate = _at_truth(recording)
+        inside = recording.within_odometry
+        truth = recording.truth.xyt[inside]
+        estimate = recording.odometry.at(recording.truth_s[inside], recording.origin_ns)
         aligned.append(absolute_errors(truth, aligned_rigidly(truth, estimate)))
         if recording.headed:
             origin.append(absolute_errors(truth, aligned_at_origin(truth, estimate)))
@@ -104,12 +106,6 @@ def trajectory_error(recordings: Sequence[Recording]) -> TrajectoryError:
             shift.append(motions.translation_m)
             turn.append(motions.rotation_rad)
     return TrajectoryError(*(_rms(parts) for parts in (aligned, origin, shift, turn)))
-
-
-def _at_truth(recording: Recording) -> tuple[Array, Array]:
-    """Return the truth's poses (n, 3) in the time of the odometry, and the odometry's poses (n, 3) there."""
-    inside = recording.within_odometry
-    return recording.truth.xyt[inside], recording.odometry.at(recording.truth_s[inside], recording.origin_ns)
 
 
 def _rms(parts: Sequence[Array]) -> float:
