@@ -18,7 +18,6 @@ from odomcorrupt.study.design.identifiability import (
     UntestableEffect,
     is_untestable,
     limits,
-    shows,
     untestable,
     untried,
 )
@@ -43,19 +42,16 @@ class Advice:
 def advise(learned: Learned) -> Advice:
     """Return the questions that these data leave open, and the drives that would answer them."""
     drives = Drives(learned)
-    choices, gains = dependence_ambiguities(drives)
+    choices = dependence_ambiguities(drives)
     for step in learned.steps:
-        for asked in (open_ambiguities, clock_ambiguities):
-            found, gains_found = asked(drives, step)
-            choices += found
-            gains += gains_found
+        choices += [*open_ambiguities(drives, step), *clock_ambiguities(drives, step)]
     last = learned.rounds[-1]
     named = {name for choice in choices for name in choice.names}
     refused = [c for c in last.candidates if is_untestable(c) and c.score.effect.name not in named]
     hidden = [untestable(drives, c) for c in refused]
-    shown = [shows(drives, c) for c, u in zip(refused, hidden, strict=True) if u.plan is not None]
-    clocks = [one for one in undetermined_clocks(drives) if one.untestable.effect not in named]
-    hidden += [one.untestable for one in clocks] + untried(learned)
-    shown += [one.shows for one in clocks if one.untestable.plan is not None]
+    hidden += [one for one in undetermined_clocks(drives) if one.effect not in named]
+    gains = [choice.gain for choice in choices if choice.gain is not None]
+    shown = [one.shows for one in hidden if one.shows is not None]
+    hidden += untried(learned)
     best = most_useful(drives, gains, shown) if gains or shown else None
     return Advice(tuple(choices), tuple(hidden), tuple(limits(last)), best)

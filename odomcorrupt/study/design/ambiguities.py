@@ -6,13 +6,13 @@ information of a drive on a clock is computed in the same terms. A clock belongs
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.study.design.drives import ENOUGH_NATS, best_plan, missing_motion
-from odomcorrupt.study.design.identifiability import FOUND, MASKED, UntestableEffect
+from odomcorrupt.study.design.identifiability import FOUND, MASKED, hidden
 from odomcorrupt.study.design.information import clock_errors, separation
 from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.drive_type import readings_of
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.design.drives import Drives, Gain
+    from odomcorrupt.study.design.identifiability import UntestableEffect
     from odomcorrupt.study.design.information import Field
     from odomcorrupt.study.design.plan import Plan
     from odomcorrupt.study.select.candidates import Candidate
@@ -46,6 +47,7 @@ class Ambiguity:
     plan : the drive that would separate them, or None if no drive can
     nats : expected log likelihood ratio in favour of the right one
     hint : if no drive separates them, what else does; "" if they are merely too small
+    gain : expected nats of another drive, if a drive can separate them
     """
 
     names: tuple[str, ...]
@@ -53,29 +55,33 @@ class Ambiguity:
     plan: Plan | None
     nats: float
     hint: str = ""
+    gain: Gain | None = field(default=None, repr=False, compare=False)
 
 
-def open_ambiguities(drives: Drives, step: Step) -> tuple[list[Ambiguity], list[Gain]]:
-    """Return the ambiguities left by a selection step, and for those that a drive can resolve, its information."""
+def _ambiguity(drives: Drives, names: tuple[str, ...], gain: Gain) -> Ambiguity:
+    """Return an ambiguity with the drive that would separate the names, if one does; gain : nats of another drive."""
+    plan, nats = best_plan(drives, gain)
+    if nats < TOO_FEW_NATS:
+        return Ambiguity(names, "", None, nats)
+    return Ambiguity(names, missing_motion(drives, gain, nats), plan, nats, gain=gain)
+
+
+def open_ambiguities(drives: Drives, step: Step) -> list[Ambiguity]:
+    """Return the ambiguities left by a selection step."""
     if step.added is None:
-        return [], []
+        return []
     kinds = registry()
     rivals = {c.score.effect.name: c for c in step.candidates}
     names = [n for n in step.alternatives if n in rivals]
     equivalents = [c.score.effect.name for c in _equivalents(drives, step) if c.score.effect.name not in names]
-    found, gains_found = [], []
+    found = []
     for name in (*names, *equivalents):
         pair = (rivals[step.added], rivals[name])
         one, other = ((_as_fitted(c),) for c in pair)
         gain = _gain_of(drives, one, other, max(c.score.inflation for c in pair))
-        plan, nats = best_plan(drives, gain)
-        if nats < TOO_FEW_NATS and name in equivalents:
-            continue
-        if nats < TOO_FEW_NATS:
-            found.append(Ambiguity((step.added, name), "", None, nats))
-            continue
-        found.append(Ambiguity((step.added, name), missing_motion(drives, gain, nats), plan, nats))
-        gains_found.append(gain)
+        choice = _ambiguity(drives, (step.added, name), gain)
+        if choice.plan is not None or name in names:
+            found.append(choice)
     if drives.learned.may_be_losses(step.added):
         found.append(Ambiguity((step.added, "lost_increments"), "", None, 0.0, _LOSSES_HINT))
     said = {step.added, *(name for choice in found for name in choice.names)}
@@ -84,7 +90,7 @@ def open_ambiguities(drives: Drives, step: Step) -> tuple[list[Ambiguity], list[
         if kind.aliased_with in said and twin not in said and twin in readings_of(str(kind.aliased_with), drive):
             hint = "; ".join(filter(None, (kind.about.drive if kind.about else "", _correction_hint(drives, kind))))
             found.append(Ambiguity((str(kind.aliased_with), twin), "", None, 0.0, hint))
-    return found, gains_found
+    return found
 
 
 def _correction_hint(drives: Drives, twin: type[Effect]) -> str:
@@ -118,25 +124,21 @@ def _equivalents(drives: Drives, step: Step) -> list[Candidate]:
     ]
 
 
-def dependence_ambiguities(drives: Drives) -> tuple[list[Ambiguity], list[Gain]]:
-    """Return effects that a dependence on the motion may explain, and for those that a drive resolves, its information.
+def dependence_ambiguities(drives: Drives) -> list[Ambiguity]:
+    """Return effects that a dependence on the motion may explain, if a drive resolves it.
 
     Whether an error depends on time or place is not a question of the manoeuvre, so no drive is planned for it.
     """
     effects = drives.learned.fit.effects
-    found, gains_found = [], []
+    found = []
     for rival in drives.learned.unknown:
         one = [effect for effect in effects if effect.name in rival.instead_of]
         if not one or rival.regressor not in VALUES.keys() - {"time", "distance"}:
             continue
         gain = _gain_of(drives, one, (rival.score.estimated,), rival.score.inflation)
-        plan, nats = best_plan(drives, gain)
-        if nats >= TOO_FEW_NATS:
-            words = f"a dependence of {rival.channel} on {rival.regressor.replace('_', ' ')}"
-            names = (" and ".join(effect.name for effect in one), words)
-            found.append(Ambiguity(names, missing_motion(drives, gain, nats), plan, nats))
-            gains_found.append(gain)
-    return found, gains_found
+        words = f"a dependence of {rival.channel} on {rival.regressor.replace('_', ' ')}"
+        found.append(_ambiguity(drives, (" and ".join(effect.name for effect in one), words), gain))
+    return [choice for choice in found if choice.plan is not None]
 
 
 def _gain_of(drives: Drives, one: Sequence[Effect], other: Sequence[Effect], inflation: float) -> Gain:
@@ -184,15 +186,8 @@ CLOCKS = ("time_offset", "clock_skew")
 """In the order of a clock's parameters."""
 
 
-class UntestableClock(NamedTuple):
-    """A clock parameter that was not tested, and a drive's expected information on it."""
-
-    untestable: UntestableEffect
-    shows: Gain
-
-
-def undetermined_clocks(drives: Drives) -> list[UntestableClock]:
-    """Return the clock parameters that no recording would determine if they had their typical size."""
+def undetermined_clocks(drives: Drives) -> list[UntestableEffect]:
+    """Return the clock parameters that were not tested and that no recording would determine at their typical size."""
     beside = _beside_clocks(drives)
     found = []
     for number, name in enumerate(CLOCKS):
@@ -210,37 +205,27 @@ def undetermined_clocks(drives: Drives) -> list[UntestableClock]:
             for e in beside
             if MASKED * float(clock_errors([o for o in beside if o is not e], drives.with_clocks)[number]) < now
         ]
-        plan, nats = best_plan(drives, shows)
-        why = missing_motion(drives, shows, nats) or "too little motion that shows it"
-        why += f", and on this drive it resembles {' and '.join(masks)}" if masks else ""
-        about = kind.about
-        seen = nats >= 0.5 * FOUND**2
-        untestable = UntestableEffect(name, why, plan if seen else None, "" if seen or about is None else about.drive)
-        found.append(UntestableClock(untestable, shows))
+        found.append(hidden(drives, kind, shows, "too little motion that shows it", masks))
     return found
 
 
-def clock_ambiguities(drives: Drives, step: Step) -> tuple[list[Ambiguity], list[Gain]]:
+def clock_ambiguities(drives: Drives, step: Step) -> list[Ambiguity]:
     """Return the ambiguity between the included effect and a constant clock offset, if these data leave it open."""
     if step.added not in RIVALS or any(free[0] for free in drives.learned.clocks.free):
-        return [], []
+        return []
     own = drives.learned.fit.by_name.get(step.added or "")
     if own is None:
-        return [], []
+        return []
     beside = [e for e in drives.learned.fit.effects if e is not own]
     inflation = step.candidates[0].score.inflation
     known = separation((own,), (), beside, [drives.with_clocks]) / inflation
     if known >= drives.learned.decisions.alternative_nats:
-        return [], []
+        return []
 
-    def separation_gain(drive: Field) -> float:
+    def gain(drive: Field) -> float:
         return separation((own,), (), beside, [drives.with_clocks, drive]) / inflation - known
 
-    names = (step.added, CLOCKS[0])
-    plan, nats = best_plan(drives, separation_gain)
-    if nats < TOO_FEW_NATS:
-        return [Ambiguity(names, "", None, nats)], []
-    return [Ambiguity(names, missing_motion(drives, separation_gain, nats), plan, nats)], [separation_gain]
+    return [_ambiguity(drives, (step.added, CLOCKS[0]), gain)]
 
 
 def _beside_clocks(drives: Drives) -> Sequence[Effect]:

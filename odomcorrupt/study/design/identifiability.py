@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +15,8 @@ from odomcorrupt.study.design.information import sizes
 from odomcorrupt.study.estimate.drive_type import GAINS_OF_TURNS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.design.drives import Drives, Gain
     from odomcorrupt.study.design.information import Field
@@ -48,6 +50,7 @@ class UntestableEffect:
     plan : the drive that would show its typical size, or None
     hint : the alternative if there is no plan
     limited_by_truth : whether the limit is the scale of the sensor that serves as truth, and not the drive
+    shows : expected nats of another drive in favour of a typical size, if there is a plan
     """
 
     effect: str
@@ -55,6 +58,7 @@ class UntestableEffect:
     plan: Plan | None
     hint: str = ""
     limited_by_truth: bool = False
+    shows: Gain | None = field(default=None, repr=False, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,32 +91,32 @@ def untestable(drives: Drives, candidate: Candidate) -> UntestableEffect:
     if effect.name == "wheel_scale" and _RULER_ERRORS * ruler < abs(size) and error < 2.0 * ruler:
         why = f"the laser measures {100.0 * size:+.2f} %, and its own scale is known to {100.0 * ruler:.2g} % only"
         return UntestableEffect(effect.name, why, None, _TAPE, limited_by_truth=True)
-    gain = shows(drives, candidate)
-    plan, nats = best_plan(drives, gain)
-    why = missing_motion(drives, gain, nats) or _short_of(candidate)
-    if masks := _masks(drives, effect):
-        why += f", and on this drive it resembles {' and '.join(masks)}"
-    if nats < 0.5 * FOUND**2:
-        about = effect.about
-        return UntestableEffect(effect.name, why, None, about.drive if about else "")
-    return UntestableEffect(effect.name, why, plan)
-
-
-def shows(drives: Drives, candidate: Candidate) -> Gain:
-    """Return a function of a drive: expected nats in favour of an effect of typical size, with the recorded drives."""
-    effect = candidate.score.effect
-    beside = _beside(drives, effect)
+    beside = [e for e in drives.learned.fit.effects if e.name != effect.name]
     typical = np.array([p.typical for p in amplitudes(effect)])
 
-    def nats(drive: Field) -> float:
+    def shows(drive: Field) -> float:
         return float(np.min(0.5 * (typical / sizes(effect, beside, [drives.recorded, drive])) ** 2))
 
-    return nats
+    return hidden(drives, type(effect), shows, _short_of(candidate), _masks(drives, effect, beside))
 
 
-def _masks(drives: Drives, effect: Effect) -> list[str]:
+def hidden(drives: Drives, kind: type[Effect], shows: Gain, short_of: str, masks: Sequence[str]) -> UntestableEffect:
+    """Return why an effect cannot be tested on these drives, and the drive on which it could.
+
+    shows : expected nats of another drive
+    short_of : the reason if no motion is missing
+    masks : names of the terms that mask the effect
+    """
+    plan, nats = best_plan(drives, shows)
+    why = missing_motion(drives, shows, nats) or short_of
+    why += f", and on this drive it resembles {' and '.join(masks)}" if masks else ""
+    if nats < 0.5 * FOUND**2:
+        return UntestableEffect(kind.name, why, None, kind.about.drive if kind.about else "")
+    return UntestableEffect(kind.name, why, plan, shows=shows)
+
+
+def _masks(drives: Drives, effect: Effect, beside: Sequence[Effect]) -> list[str]:
     """Return the included terms that mask an effect: without them its standard error would be far smaller."""
-    beside = _beside(drives, effect)
     now = float(np.max(sizes(effect, beside, [drives.recorded])))
     found = []
     for e in beside:
@@ -120,10 +124,6 @@ def _masks(drives: Drives, effect: Effect) -> list[str]:
         if float(np.max(sizes(effect, others, [drives.recorded]))) * MASKED < now:
             found.append(e.name)
     return found
-
-
-def _beside(drives: Drives, effect: Effect) -> list[Effect]:
-    return [e for e in drives.learned.fit.effects if e.name != effect.name]
 
 
 def _short_of(candidate: Candidate) -> str:
