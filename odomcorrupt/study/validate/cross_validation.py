@@ -72,7 +72,7 @@ class Split:
     def folds(self, recordings: Sequence[Recording]) -> list[Fold]:
         """Return the folds of the recordings."""
         runs = _runs(recordings)
-        parts = [tuple(r for i in group for r in runs[i]) for group in self.groups]
+        parts = [tuple(recordings[n] for i in group for n in runs[i]) for group in self.groups]
         found: list[Fold] = []
         for part, fitted in zip(parts, self.fitted, strict=True):
             if fitted and self.middle_ns is not None:
@@ -86,8 +86,9 @@ class Split:
 
 def split_of(recordings: Sequence[Recording], fitted: Sequence[bool], spacing_s: float) -> Split:
     """Return how to split recordings (clocks corrected); `fitted` says which of them models were fitted to."""
-    runs = _runs(recordings)
-    known = _runs_of(recordings, fitted)
+    rows = _runs(recordings)
+    known = [any(fitted[n] for n in own) for own in rows]
+    runs = [[recordings[n] for n in own] for own in rows]
     own = [i for i, is_known in enumerate(known) if is_known]
     others = [(i,) for i, is_known in enumerate(known) if not is_known]
     enough = [i for i in own if sum(count_intervals(r, spacing_s) for r in runs[i]) >= LEAST_INTERVALS] or own
@@ -138,20 +139,12 @@ def _balanced(runs: Mapping[int, tuple[float, ...]]) -> list[tuple[int, ...]]:
     return [tuple(sorted(group)) for group in groups]
 
 
-def _runs(recordings: Sequence[Recording]) -> list[list[Recording]]:
-    """Return the recordings grouped by shared clock, so that stretches of one run are together."""
-    runs: dict[int, list[Recording]] = {}
-    for leader, recording in zip(clock_leaders(recordings), recordings, strict=True):
-        runs.setdefault(leader, []).append(recording)
+def _runs(recordings: Sequence[Recording]) -> list[list[int]]:
+    """Return the indices of recordings grouped by shared clock, so that stretches of one run are together."""
+    runs: dict[int, list[int]] = {}
+    for n, leader in enumerate(clock_leaders(recordings)):
+        runs.setdefault(leader, []).append(n)
     return list(runs.values())
-
-
-def _runs_of(recordings: Sequence[Recording], fitted: Sequence[bool]) -> list[bool]:
-    """Return for each run whether any of its recordings was fitted."""
-    known: dict[int, bool] = {}
-    for leader, own in zip(clock_leaders(recordings), fitted, strict=True):
-        known[leader] = known.get(leader, False) or own
-    return list(known.values())
 
 
 def _middle(run: Sequence[Recording]) -> tuple[int, str]:

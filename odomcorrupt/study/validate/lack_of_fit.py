@@ -9,13 +9,14 @@ it turns too far to the left.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from scipy.stats import chi2, norm
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -159,24 +160,24 @@ class Pattern:
 
 def all_patterns(motion: IntervalMotion) -> list[Pattern]:
     """Return the parts of a drive that contain enough of it."""
-    total = float(motion.metres.sum())
-    wanted = [*_kinds_of_motion(motion), *_stretches(motion), *_discs(motion)]
+    total = {"m": float(motion.metres.sum()), "s": float(motion.seconds.sum())}
     kept = []
-    for pattern in wanted:
-        share = pattern.amount / (total if pattern.per == "m" else float(motion.seconds.sum()))
+    for pattern in (*_kinds_of_motion(motion), *_stretches(motion), *_discs(motion)):
+        share = pattern.amount / total[pattern.per]
         if share >= _MIN_SHARE and (pattern.kind == "motion" or share <= _MAX_SHARE):
             kept.append(pattern)
     return kept
 
 
-def _kinds_of_motion(m: IntervalMotion) -> list[Pattern]:
+def _kinds_of_motion(m: IntervalMotion) -> Iterator[Pattern]:
     speed = np.abs(m.v)
     moving = speed > MOVING
     curvature = np.where(moving, m.omega / np.where(moving, m.v, 1.0), 0.0)
     turning = moving & (np.abs(curvature) > _TURN_PER_M)
     fast = float(np.median(speed[moving])) if moving.any() else 0.0
     speeding = m.a * np.sign(m.v)
-    kinds = {
+    spot = ~moving & (np.abs(m.omega) > 0.1)
+    driving = {
         "in all motion": moving,
         "in left turns": turning & (m.omega > 0.0),
         "in right turns": turning & (m.omega < 0.0),
@@ -187,58 +188,35 @@ def _kinds_of_motion(m: IntervalMotion) -> list[Pattern]:
         "while speeding up": moving & (speeding > _MIN_ACCELERATION),
         "while braking": moving & (speeding < -_MIN_ACCELERATION),
     }
-    found = [_pattern("motion", where, mask, m.metres) for where, mask in kinds.items()]
-    spot = ~moving & (np.abs(m.omega) > 0.1)
-    found += [
-        Pattern("motion", where, mask.astype(np.float64), "s", float(m.seconds[mask].sum()))
-        for where, mask in (
-            ("turning on the spot to the left", spot & (m.omega > 0.0)),
-            ("turning on the spot to the right", spot & (m.omega < 0.0)),
-            ("at rest", ~moving & ~spot),
-        )
-    ]
-    return found
+    standing = {
+        "turning on the spot to the left": spot & (m.omega > 0.0),
+        "turning on the spot to the right": spot & (m.omega < 0.0),
+        "at rest": ~moving & ~spot,
+    }
+    for per, amount, kinds in (("m", m.metres, driving), ("s", m.seconds, standing)):
+        for where, mask in kinds.items():
+            yield Pattern("motion", where, mask.astype(np.float64), per, float(amount[mask].sum()))
 
 
-def _pattern(
-    kind: Literal["motion", "time", "place"],
-    where: str,
-    mask: NDArray[np.bool_],
-    metres: Array,
-    *,
-    span_s: tuple[float, float] | None = None,
-    place: tuple[float, float, float] | None = None,
-) -> Pattern:
-    return Pattern(kind, where, mask.astype(np.float64), "m", float(metres[mask].sum()), span_s, place)
-
-
-def _stretches(m: IntervalMotion) -> list[Pattern]:
+def _stretches(m: IntervalMotion) -> Iterator[Pattern]:
     start, end = float(m.t_s[0] - m.seconds[0]), float(m.t_s[-1])
-    found = []
     for share in _SHARES:
         length = (end - start) / share
         # overlap by half, so that every event is well inside one of them
-        for first in start + length / 2.0 * np.arange(2 * share - 1):
-            mask = (m.t_s > first) & (m.t_s <= first + length)
-            span = (float(first), float(first + length))
-            found.append(_pattern("time", f"from {span[0]:.0f} s to {span[1]:.0f} s", mask, m.metres, span_s=span))
-    return found
+        for first in (start + length / 2.0 * np.arange(2 * share - 1)).tolist():
+            mask, span = (m.t_s > first) & (m.t_s <= first + length), (first, first + length)
+            where = f"from {span[0]:.0f} s to {span[1]:.0f} s"
+            yield Pattern("time", where, mask.astype(np.float64), "m", float(m.metres[mask].sum()), span_s=span)
 
 
-def _discs(m: IntervalMotion) -> list[Pattern]:
+def _discs(m: IntervalMotion) -> Iterator[Pattern]:
     width = float(max(np.ptp(m.x), np.ptp(m.y)))
-    found = []
-    for share in _SHARES:
-        radius = width / share
-        if radius <= 0.0:
-            continue
-        for x in np.arange(m.x.min(), m.x.max() + radius, radius):
-            for y in np.arange(m.y.min(), m.y.max() + radius, radius):
-                mask = np.hypot(m.x - x, m.y - y) < radius
-                where = f"within {radius:.2g} m of ({x:.1f}, {y:.1f})"
-                place = (float(x), float(y), radius)
-                found.append(_pattern("place", where, mask, m.metres, place=place))
-    return found
+    for radius in (width / share for share in _SHARES if width > 0.0):
+        centres = (np.arange(axis.min(), axis.max() + radius, radius).tolist() for axis in (m.x, m.y))
+        for x, y in product(*centres):
+            mask = np.hypot(m.x - x, m.y - y) < radius
+            where, place = f"within {radius:.2g} m of ({x:.1f}, {y:.1f})", (x, y, radius)
+            yield Pattern("place", where, mask.astype(np.float64), "m", float(m.metres[mask].sum()), place=place)
 
 
 LEVEL = 0.01  # significance level after correction for multiple tests
