@@ -7,7 +7,7 @@ all its shape parameters jointly, because the likelihood may have ridges.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import minimize
@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 from odomcorrupt.errors import EffectError
 from odomcorrupt.study.select.score import project_out
 from odomcorrupt.study.select.screening import CoarseDesign, Screened, coarse_gains, promising_terms
-from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm, Term, neighbours
+from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm, T, Term, neighbours
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -38,8 +38,6 @@ _STARTS, _LARGE_NATS = 4, 30.0
 Below that gain only the best member is a start: its finer features are not significant either."""
 _NEAR, _WORTH = 0.03, 0.05
 """Size of the simplex, as a fraction of the first steps, and difference in nats at which it ends."""
-
-T = TypeVar("T", bound=Term)
 
 
 class ShapeSearch:

@@ -2,7 +2,10 @@
 
 A term has design-matrix columns at a working point of its shape, shape parameters that may be refined, and the size of
 the family that it was selected from, which determines its penalty. Once included, it becomes an effect of the model.
-Library effects and basis functions of one regressor are both terms, with one protocol.
+Library effects and basis functions of one regressor are both terms, with the same attributes: `start`, the effect with
+coefficients at their identity; `width` and `charged`, the numbers of coefficients and of numbers that the penalty
+counts; `trials`, the size of the family; `unusual`, for a rare kind of robot, whose wheels do not turn its heading;
+`several_maxima`, if the likelihood over the shape is likely to have several.
 """
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -27,8 +30,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.problem import Problem
 
-T = TypeVar("T", bound="Term")
-
 _KINDS = (len(VALUES.keys() - {"sideways_speed"}) + 2) * len(every_action())
 """Number of kinds of basis functions: regressors, place and heading, times actions. A robot that drives sideways has 13
 kinds more, but not the 36 of two wheels with a track."""
@@ -40,66 +41,6 @@ _LEAST_OPTIONAL = 0.1
 """Least value of an optional shape parameter in a search, as a fraction of its typical size."""
 _SEVERAL_MAXIMA = 3
 """Number of shape parameters from which on (a place) a basis function is likely to have several maxima."""
-
-
-class Term(Protocol):
-    """Protocol of a hypothesis of the selection."""
-
-    @property
-    def name(self) -> str:
-        """Name of the effect that the term becomes."""
-
-    @property
-    def start(self) -> Effect:
-        """The effect that the term becomes, with its coefficients at their identity."""
-
-    @property
-    def width(self) -> int:
-        """Number of coefficients, with one column each."""
-
-    @property
-    def charged(self) -> int:
-        """Number of fitted numbers that the penalty counts."""
-
-    @property
-    def trials(self) -> int:
-        """Size of the family that the term is selected from."""
-
-    @property
-    def unusual(self) -> bool:
-        """Whether the term assumes a rare kind of robot: one with a heading that its wheels do not turn."""
-
-    @property
-    def several_maxima(self) -> bool:
-        """Whether the likelihood over its shape is likely to have several maxima."""
-
-    @property
-    def shape(self) -> Array:
-        """Shape parameters (s,); possibly none."""
-
-    @property
-    def steps(self) -> Array:
-        """First step (s,) of a search over each shape parameter."""
-
-    def with_shape(self, shape: Sequence[float]) -> Self:
-        """Return the term with other shape parameters, kept within their bounds."""
-
-    def columns(self, problem: Problem) -> Array:
-        """Return the change (K, 3, p) of the residuals per unit of each coefficient."""
-
-    def effect(self, coefficients: Sequence[float]) -> Effect:
-        """Return the effect of the model with these coefficients (p,), kept within their bounds."""
-
-    def share(self, coefficients: Sequence[float], motions: Sequence[Motion]) -> float:
-        """Return the term's largest fraction of the robot's motion; 0 if it is not proportional to the motion."""
-
-
-def neighbours(term: T, scale: float) -> Iterator[T]:
-    """Yield the term with one shape parameter at a time decreased and increased by `scale` of its step."""
-    here = term.shape.tolist()
-    for i, step in enumerate(term.steps.tolist()):
-        for sign in (-1.0, 1.0):
-            yield term.with_shape([*here[:i], here[i] + sign * scale * step, *here[i + 1 :]])
 
 
 @dataclass(frozen=True)
@@ -121,12 +62,6 @@ class LibraryTerm:
         """Return terms of an effect at every shape to be tried on these motions; none if it cannot act."""
         scanned = tuple(kind.scan(motions))
         return tuple(cls(effect, len(scanned)) for effect in scanned)
-
-    @classmethod
-    def of(cls, effect: Effect, motions: Sequence[Motion]) -> LibraryTerm:
-        """Return the term of an effect that is in a model, at the shape of that effect."""
-        at_identity = replace(effect, **{p.name: p.identity for p in amplitudes(effect)})  # type: ignore[type-var]
-        return cls(at_identity, max(len(type(effect).scan(motions)), 1))
 
     @property
     def name(self) -> str:
@@ -189,10 +124,6 @@ class LibraryTerm:
         own = zip(amplitudes(self.start), coefficients, strict=True)
         values = {p.name: float(np.clip(v, p.low, p.high)) for p, v in own}
         return replace(self.start, **values)  # type: ignore[type-var]  # effects are dataclasses
-
-    def share(self, coefficients: Sequence[float], motions: Sequence[Motion]) -> float:  # noqa: ARG002 - of the protocol
-        """Return 0, because the bounds of its parameters already limit a library effect."""
-        return 0.0
 
 
 @dataclass(frozen=True)
@@ -298,13 +229,14 @@ class BasisTerm:
             text = re.sub(rf"\b{name}\b", f"{float(value):.4g}", text)
         return self.action.written(text)
 
-    def share(self, coefficients: Sequence[float], motions: Sequence[Motion]) -> float:
-        """Return the largest ratio of error to travel or turn; 0 if the error is not proportional to them."""
-        of_turn = self.action.move == "omega"
-        of_travel = self.action.move != "1" and self.action.target != "yaw"
-        if not (of_turn or of_travel) or self.function.wavelength_m:
-            return 0.0
-        parts = self.function.parts
-        return max(
-            float(np.abs(sum(k * part(m) for k, part in zip(coefficients, parts, strict=True))).max()) for m in motions
-        )
+
+Term: TypeAlias = LibraryTerm | BasisTerm
+T = TypeVar("T", LibraryTerm, BasisTerm)
+
+
+def neighbours(term: T, scale: float) -> Iterator[T]:
+    """Yield the term with one shape parameter at a time decreased and increased by `scale` of its step."""
+    here = term.shape.tolist()
+    for i, step in enumerate(term.steps.tolist()):
+        for sign in (-1.0, 1.0):
+            yield term.with_shape([*here[:i], here[i] + sign * scale * step, *here[i + 1 :]])
