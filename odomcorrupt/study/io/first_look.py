@@ -413,13 +413,7 @@ def mistakes_alone(path: Samples) -> list[Mistake]:
 
 
 def check_alone(path: Samples) -> None:
-    """Refuse odometry that shows a plain mistake by itself.
-
-    Raises
-    ------
-    RecordingError
-        With the mistake.
-    """
+    """Refuse odometry that shows a plain mistake by itself."""
     for mistake in mistakes_alone(path):
         raise RecordingError(mistake.sentence)
 
@@ -448,11 +442,6 @@ def check_travel(odometry: Samples, truth: Samples) -> None:
 
     Filters that take speed from the wheels and heading from a gyro have slip, ticks and noise of the wheels in their
     travel. Exact poses of a simulator may agree as well, but they are smooth where the odometry has ticks.
-
-    Raises
-    ------
-    RecordingError
-        With the difference found and the remedy.
     """
     if not truth.headed or truth.covariance is not None or truth.relative:
         return

@@ -164,13 +164,7 @@ _YEAR_S = 365.25 * _DAY_S
 
 
 def check_pair(odometry: Samples, truth: Samples) -> None:
-    """Refuse odometry and truth that cannot be one run: disjoint times, or no motion.
-
-    Raises
-    ------
-    RecordingError
-        With the value found and the remedy.
-    """
+    """Refuse odometry and truth that cannot be one run: disjoint times, or no motion."""
     _check_time(odometry, truth)
     first, last = max(odometry.stamps_ns[0], truth.stamps_ns[0]), min(odometry.stamps_ns[-1], truth.stamps_ns[-1])
     both = [p.only((p.stamps_ns >= first) & (p.stamps_ns <= last)) for p in (odometry, truth)]
@@ -266,13 +260,7 @@ _TURNS_RADPS, _SPEEDS_MPS, _SPEEDS = 0.05, 0.03, 0.15
 
 
 def check_together(here: Samples, there: Samples) -> None:
-    """Refuse a truth whose motion does not correlate with the odometry's at any lag.
-
-    Raises
-    ------
-    RecordingError
-        With the correlations found and the remedy.
-    """
+    """Refuse a truth whose motion does not correlate with the odometry's at any lag."""
     reach_s = min(_MAX_LAG_S, here.span_s / 2.0)
     corr = cross_correlation(here.trajectory(), there.trajectory(), reach_s, smoothing_s=_WINDOW_S)
     both = (corr.odometry, corr.truth)

@@ -7,7 +7,7 @@ end to end form chains; overlaps and loop closures are left out.
 
 from __future__ import annotations
 
-import csv
+import io
 import itertools
 import re
 from dataclasses import dataclass
@@ -17,10 +17,11 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
+from odomcorrupt.input_files import open_input
 from odomcorrupt.laser.calibrate import hand_eye
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.segments import MIN_HEADED_S
-from odomcorrupt.study.io.text import guess_tick
+from odomcorrupt.study.io.text import guess_tick, read_lines, split_line, whole_rows
 
 if TYPE_CHECKING:
     from collections.abc import Container, Sequence
@@ -76,28 +77,27 @@ def read_motions(path: Path) -> Motions:
     RecordingError
         If the file has no such header, or a line does not match it.
     """
-    try:
-        with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
-            lines = enumerate(csv.reader(stream), start=1)
-            rows = ((n, line) for n, line in lines if line and not line[0].lstrip().startswith("#"))
-            layout, table = None, []
-            for n, line in itertools.islice(rows, _MAX_LINES):
-                if layout is None:
-                    layout = _layout(line, str(path))
-                    continue
-                table.append(_numbers(line, layout, f"{path}: line {n}"))
-    except (OSError, csv.Error) as error:
-        raise RecordingError(f"{path}: cannot be read: {error}") from error
-    if layout is None or len(table) < _MIN_MOTIONS:
-        raise RecordingError(f"{path}: holds {len(table)} relative motions; {_MIN_MOTIONS} and more are needed")
-    values = np.array(table)
-    tick = guess_tick(values[:1000, 0].tolist())
-    start, end = (_nanoseconds(values[:, i], tick, str(path)) for i in (0, 1))
-    xyt, covariance = values[:, 2:5], None
+    place, notes = str(path), list[str]()
+    with io.TextIOWrapper(open_input(path, RecordingError), "utf-8-sig", errors="replace", newline="") as stream:
+        lines = read_lines(stream, place)
+        rows = (split_line(row, ",") for row in lines if not row.cells[0].startswith("#"))
+        header = next(rows, None)
+        if header is None:
+            raise RecordingError(f"{place}: is empty; its first line names t0,t1,dx,dy,dyaw")
+        layout = _layout(header.cells, place)
+        table = list(itertools.islice(whole_rows(rows, len(header.cells), notes), _MAX_LINES))
+    if len(table) < _MIN_MOTIONS:
+        raise RecordingError(f"{place}: holds {len(table)} relative motions; {_MIN_MOTIONS} and more are needed")
+    tick = guess_tick([row.number(layout.times[0]) for row in table[:1000]])
+    start, end = (np.array([row.nanoseconds(at, tick) for row in table]) for at in layout.times)
+    values = np.array([[row.number(at) for at in (*layout.motion, *layout.covariance)] for row in table])
+    if not np.isfinite(values).all():
+        raise RecordingError(f"{place}: holds a number that is not finite; leave its line out")
+    xyt, covariance = values[:, :3], None
     if layout.covariance:
         covariance = np.zeros((len(values), 3, 3))
         for column, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
-            covariance[:, i, j] = covariance[:, j, i] = values[:, 5 + column]
+            covariance[:, i, j] = covariance[:, j, i] = values[:, 3 + column]
         if not (np.linalg.eigvalsh(covariance)[:, 0] > 0.0).all():
             raise RecordingError(f"{path}: a covariance is not positive definite; leave its columns out")
     back = end < start
@@ -256,21 +256,3 @@ def _layout(header: Sequence[str], place: str) -> _Layout:
         missing = ", ".join(name for name in _COVARIANCE if name not in where)
         raise RecordingError(f"{place}: a covariance without {missing}; give all of {','.join(_COVARIANCE)}, or none")
     return _Layout(times, (where["dx"], where["dy"], yaw), tuple(where[name] for name in known))
-
-
-def _numbers(line: Sequence[str], layout: _Layout, place: str) -> list[float]:
-    wanted = (*layout.times, *layout.motion, *layout.covariance)
-    try:
-        values = [float(line[i]) for i in wanted]
-    except (ValueError, IndexError):
-        raise RecordingError(f"{place}: {','.join(line)[:80]!r} does not hold the numbers of its header") from None
-    if not np.isfinite(values).all():
-        raise RecordingError(f"{place}: holds a number that is not finite; leave the line out")
-    return values
-
-
-def _nanoseconds(values: Array, tick: int, place: str) -> NDArray[np.int64]:
-    if np.abs(values).max() * tick > 9e18:
-        raise RecordingError(f"{place}: a time of {np.abs(values).max():g} is no stamp")
-    whole = np.floor(values)
-    return whole.astype(np.int64) * tick + np.round((values - whole) * tick).astype(np.int64)

@@ -155,16 +155,8 @@ def _with_own_clocks(before: ModelEvaluation, after: ModelEvaluation, common: Cl
         f"its fit was tested with the clock offset changed by {', '.join(by)} ms, within two standard errors: "
         "it would be rejected with the estimated offset only"
     )
-    return replace(
-        before,
-        horizons=after.horizons,
-        curve=after.curve,
-        pits=after.pits,
-        whiteness=after.whiteness,
-        verdict=after.verdict,
-        failures=after.failures,
-        notes=(*before.notes, note),
-    )
+    tests = ("horizons", "curve", "pits", "whiteness", "verdict", "failures")
+    return replace(before, notes=(*before.notes, note), **{name: getattr(after, name) for name in tests})
 
 
 def _evaluated(model: MotionModel, folds: Sequence[Fold], approach: Approach) -> list[Evaluation]:
