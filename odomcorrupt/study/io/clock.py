@@ -15,6 +15,7 @@ from scipy.stats import theilslopes
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.io.headings import with_headings
 from odomcorrupt.study.io.plausibility import cross_correlation
+from odomcorrupt.study.io.raw_trajectory import CLOCK_S
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
 
-_SMOOTHING_S = 0.4
-_REACH_S = 3.0  # largest lag
 _STRETCH_S = 40.0  # shortest part of a run that is matched on its own
 
 
@@ -63,8 +62,8 @@ def coarse_clock(recording: Recording) -> Clock:
     Parts of the run are matched separately at lags within +- 3 s; a Theil-Sen line fits their lags.
     """
     truth, odo_s, truth_s = recording.truth, recording.odometry_s, recording.truth_s
-    first_s, last_s = max(odo_s[0], truth_s[0]) + _REACH_S, min(odo_s[-1], truth_s[-1]) - _REACH_S
-    if last_s - first_s < 4.0 * _REACH_S:
+    first_s, last_s = max(odo_s[0], truth_s[0]) + CLOCK_S, min(odo_s[-1], truth_s[-1]) - CLOCK_S
+    if last_s - first_s < 4.0 * CLOCK_S:
         return Clock()
     times, lags = [], []
     edges = np.linspace(first_s, last_s, int(np.clip((last_s - first_s) // _STRETCH_S, 1, 12)) + 1)
@@ -72,7 +71,7 @@ def coarse_clock(recording: Recording) -> Clock:
         part = truth.only((truth_s >= begin_s) & (truth_s <= end_s))
         if len(part) < 2:
             continue
-        found = cross_correlation(recording.odometry, part, _REACH_S, smoothing_s=_SMOOTHING_S)
+        found = cross_correlation(recording.odometry, part, CLOCK_S)
         best = int(np.argmax(found.both))
         if found.both[best] > 0.5 and 0 < best < len(found.both) - 1:
             before, here, after = found.both[best - 1 : best + 2].tolist()

@@ -20,6 +20,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.study.io.plausibility import cross_correlation
+from odomcorrupt.study.io.raw_trajectory import CLOCK_S
 from odomcorrupt.study.io.recording import Mistake
 
 if TYPE_CHECKING:
@@ -33,8 +34,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.raw_trajectory import Samples
     from odomcorrupt.study.io.recording import Recording
 
-_GRID_S, _LAG_S = 0.1, 3.0
-"""Step and largest size of the lags at which motions are compared."""
+_GRID_S = 0.1
+"""Step of the lags at which motions are compared."""
 _MOVING = 0.2
 """Part of the usual largest motion from which a window counts as moving."""
 _FEWEST = 8
@@ -231,7 +232,7 @@ class Look:
         origin, window_s = int(self.paths[0].stamps_ns[0]), self.window_s
         one, other = (_travel(p, origin) for p in self.paths)
         first, last = max(one.t_s[0], other.t_s[0]), min(one.t_s[-1], other.t_s[-1]) - window_s
-        margin_s = min(_LAG_S, (last - first) / 4.0)
+        margin_s = min(CLOCK_S, (last - first) / 4.0)
         starts = np.arange(first + margin_s, last - margin_s, window_s / 4.0)
         here, best = one.within(starts, window_s), (-np.inf, 0.0)
         for lag_s in np.arange(-margin_s, margin_s, _GRID_S).tolist():
@@ -585,7 +586,7 @@ def _late(look: Look) -> Figures | None:
     """Find a clock that is seconds off; a periodic drive looks mirrored half a period later."""
     odometry, truth = (p.trajectory() for p in look.paths)
     corr = cross_correlation(odometry, truth, min(60.0, look.paths[0].span_s / 2.0))
-    near = np.abs(corr.lag_s) <= _LAG_S
+    near = np.abs(corr.lag_s) <= CLOCK_S
     best, here = int(np.argmax(corr.both)), float(corr.both[near].max())
     most, lag_s = float(corr.both[best]), float(corr.lag_s[best])
     if most < max(0.7, 2.0 * here, float(corr.mirrored[near].max()) + 0.02):

@@ -254,7 +254,6 @@ _MIN_APART = np.array([0.05, 0.03])
 """Smallest departure of an excursion, metres and radians."""
 _MAX_FRACTION = 0.2
 """Fraction of departing poses above which nothing is removed: departures are then usual for this truth."""
-_APART_S = 3.0
 _MAX_LEFT, _FEW_BESIDE = 0.5, 4
 """Largest departure left after an excursion, as a fraction of its size; least number of poses on each side."""
 _FLIP_RAD = 1.3
@@ -297,7 +296,7 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     if not out.any() or out.mean() > _MAX_FRACTION:
         return whole
     rows = np.flatnonzero(out)
-    groups = np.split(rows, np.flatnonzero(np.diff(t_s[rows]) > _APART_S) + 1)
+    groups = np.split(rows, np.flatnonzero(np.diff(t_s[rows]) > OUTLIER_S) + 1)
     where = ", ".join(
         f"{np.max(apart[g, 0]):.2f} m and {np.degrees(np.max(apart[g, 1])):.0f} deg at {t_s[g[0]]:.0f} s"
         for g in groups[:6]

@@ -18,6 +18,7 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.motion import slopes
+from odomcorrupt.study.io.raw_trajectory import CLOCK_S
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
@@ -252,7 +253,6 @@ def _span(path: Samples) -> str:
 _WINDOW_S = 2.0
 """Averaging time of the compared motions, which removes the truth's noise and the wheels' jitter."""
 _MAX_LAG_S = 60.0  # largest lag
-_SAME_CLOCK_S = 3.0  # lags up to here count as the same clock
 _MIN_NEAR, _MIN_ANY = 0.45, 0.5
 """Least correlation of speed or yaw rate in one drive: at small lags, and at any lag."""
 _TURNS_RADPS, _SPEEDS_MPS, _SPEEDS = 0.05, 0.03, 0.15
@@ -266,7 +266,7 @@ def check_together(here: Samples, there: Samples) -> None:
     both = (corr.odometry, corr.truth)
     turning = all(s.turn_radps > _TURNS_RADPS for s in both)
     accelerating = all(s.speed_mps > max(_SPEEDS_MPS, _SPEEDS * s.level_mps) for s in both)
-    near = np.abs(corr.lag_s) <= _SAME_CLOCK_S
+    near = np.abs(corr.lag_s) <= CLOCK_S
     best = np.maximum(corr.turn, corr.speed)
     if (turning or accelerating) and best[near].max() < _MIN_NEAR and best.max() < _MIN_ANY:
         raise RecordingError(

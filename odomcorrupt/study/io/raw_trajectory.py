@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import Origin
 
 LEAST = 2
+CLOCK_S = 3.0
+"""Largest clock offset that a study can find, and largest lag at which motions are compared for it, seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +123,7 @@ class Samples:
 _BACK_NS = 1_000_000_000  # smallest step back that begins another run
 _FORWARD_NS = 3_600_000_000_000
 _NEIGHBOURS = 5
-_FAR_M = 1e9
+FAR_M = 1e9
 """Larger positions (metres) and headings (radians) count as invalid."""
 
 
@@ -185,12 +187,12 @@ def in_order(samples: Samples) -> Samples:
     if not found:
         raise RecordingError(f"{samples.place} holds no message; name another topic")
     # comparisons with NaN are false
-    good = np.asarray((np.abs(samples.xyz) < _FAR_M).all(axis=1))
+    good = np.asarray((np.abs(samples.xyz) < FAR_M).all(axis=1))
     if not good.any():
         raise RecordingError(f"{samples.place}: none of its {found} positions is a number; name another source")
     if not good.all():
         samples = samples.only(good, f"{np.sum(~good)} positions that are not numbers left out")
-    headless: NDArray[np.bool_] = ~(np.abs(samples.yaw_rad) < _FAR_M)
+    headless: NDArray[np.bool_] = ~(np.abs(samples.yaw_rad) < FAR_M)
     if headless.all():
         samples = samples.without_headings()
     elif headless.any():

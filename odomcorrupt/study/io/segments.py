@@ -12,6 +12,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import wrap
 from odomcorrupt.study.io.jumps import reach_of, stretches
 from odomcorrupt.study.io.plausibility import SHORTEST_S
+from odomcorrupt.study.io.raw_trajectory import CLOCK_S
 from odomcorrupt.study.io.recording import Recording
 
 if TYPE_CHECKING:
@@ -28,8 +29,6 @@ _APART_M, _APART, _APART_RAD = 0.5, 0.2, 0.5
 """Difference of the displacements across a gap, m and as a part of the larger one, or of the turns, rad, that shows
 that the odometry was not integrated there: more than wrong wheels and late stamps cause."""
 _MIN_SPEED = np.array([0.02, 0.05])  # m/s and rad/s; a faster robot should change the truth
-_CLOCKS_S = 3.0
-"""Largest clock offset that the study can find: truth and odometry are kept this long beyond a stretch."""
 MIN_HEADED_S, _MIN_UNHEADED_S = 25.0, 50.0
 """Shortest stretches, with and without headings, with enough intervals for two halves; used if longer ones exist."""
 
@@ -156,7 +155,7 @@ def _without_restarts(
 
 def _with_margins(odometry: Samples, truth: Samples) -> tuple[Samples, Samples]:
     """Return the odometry up to the end of the truth, and the truth in its time, plus a margin for clock offsets."""
-    margin = round(_CLOCKS_S * 1e9)
+    margin = round(CLOCK_S * 1e9)
     first, last = odometry.stamps_ns[0] - margin, odometry.stamps_ns[-1] + margin
     inside = (truth.stamps_ns >= first) & (truth.stamps_ns <= last)
     return odometry.only(odometry.stamps_ns <= truth.stamps_ns[-1] + margin), truth.only(inside)

@@ -287,7 +287,6 @@ def _part(rows: list[Row], columns: Columns, tick_ns: int, order: ComponentOrder
 
 
 _MAX_LINE = 65_536  # characters in a line
-_LATEST_NS = 9.2e18  # largest stamp in 64 bits
 
 
 class Row(NamedTuple):
@@ -310,7 +309,7 @@ class Row(NamedTuple):
     def nanoseconds(self, at: int, tick_ns: int) -> int:
         """Return the exact stamp in a cell; float64 seconds since 1970 would lose 100 ns and more."""
         rough = self.number(at) * tick_ns
-        if not abs(rough) < _LATEST_NS:
+        if not abs(rough) < _FARTHEST:
             raise RecordingError(
                 f"{self.place}: {self.cells[at][:40]!r} in line {self.line} is not a stamp; correct it"
             )

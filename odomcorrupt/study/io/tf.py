@@ -19,7 +19,7 @@ import numpy as np
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.study.io.localisation import CORRECTIONS, REPEATED, SPARSE_HZ, ahead_s
-from odomcorrupt.study.io.raw_trajectory import Samples, order_of
+from odomcorrupt.study.io.raw_trajectory import FAR_M, Samples, order_of
 from odomcorrupt.study.io.se3 import Transforms, check_order, composed, headings, interpolated, inverted, unit
 from odomcorrupt.study.io.topic_selection import near, plain
 
@@ -114,7 +114,6 @@ def read_tree(reader: BagReader, moving: Iterable[Channel], static: Iterable[Cha
     return Tree(frozenset(found[False]), frozenset(found[True] - found[False]))
 
 
-_FAR_M = 1e9
 _MOVES = np.array([1e-4, 1e-4])
 """Metres, radians: if the other edges move by more, a repeated correction means that there was no new one."""
 _SLOWER = 5.0
@@ -216,7 +215,7 @@ class EdgeReader:
         values = np.concatenate(here.values)
         values = np.concatenate((values[:, :3], unit(values[:, 3:])), axis=1)
         # comparisons with NaN are false
-        good = np.asarray((np.abs(values) < _FAR_M).all(axis=1))
+        good = np.asarray((np.abs(values) < FAR_M).all(axis=1))
         if not good.any():
             raise RecordingError(f"{self.place}: none of {len(good)} transforms {edge.parent}.{edge.child} is a number")
         check_order(f"{self.place}: {edge.parent}.{edge.child}", values[good][:, :3], values[good][:, 3:])
