@@ -40,7 +40,6 @@ from odomcorrupt.study.io.warnings import (
     check_identity,
     dead_band_warnings,
     filter_warnings,
-    heading_warnings,
     without_course,
 )
 from odomcorrupt.study.io.wheel_ticks import odometry_of_wheels, read_wheels, wheels_of
@@ -368,7 +367,7 @@ def recordings_of(
         truth = without_excursions(odometry, corrections_alone(odometry, truth))
     calm, real = without_outliers(odometry), without_outliers(truth)
     check_together(calm, real)
-    said = check_identity(calm, real) or heading_warnings(calm, real)
+    said = check_identity(calm, real)
     said += [mistake.sentence for mistake in found.mistakes]
     feedback = feedback_of(odometry, calm, real)
     # The reader of laser scans has checked their stamps already.

@@ -31,7 +31,7 @@ _MOSTLY, _NEARLY_ALL = 0.6, 0.9
 
 
 def check_identity(odometry: Samples, truth: Samples) -> list[str]:
-    """Return warnings on a truth that mostly repeats or equals the odometry; a copy of the odometry is refused.
+    """Return a warning on a truth that mostly repeats or equals the odometry, or its turns; refuse a copy of it.
 
     A copy has the odometry's stamps or number of messages; exact poses of a simulator have another rate.
 
@@ -68,25 +68,20 @@ def check_identity(odometry: Samples, truth: Samples) -> list[str]:
         return [f"{truth.name}: {share:.0%} of its steps are those of the odometry: {what}"]
     check_travel(odometry, truth)
     if _FUSED.search(truth.name.lower()):
-        return [
-            f"{truth.name}: it is a localisation by its name, which may have used this odometry and repeat its errors"
-        ]
-    return []
+        what = "it is a localisation by its name, which may have used this odometry and repeat its errors"
+        return [f"{truth.name}: {what}"]
+    return _repeated_turns(truth, step, own)
 
 
-def heading_warnings(odometry: Samples, truth: Samples) -> list[str]:
-    """Return a warning if the truth's headings repeat the odometry's turns while its positions do not."""
-    if not truth.headed:
-        return []
-    step, own = _steps(odometry, truth)
+def _repeated_turns(truth: Samples, step: Array, own: Array) -> list[str]:
+    """Return a warning if the steps (k, 3) of the truth turn as the odometry's do while their positions differ."""
     turning = np.abs(own[:, 2]) > _MOVES
-    if turning.sum() < _MIN_STEPS:
+    apart = np.abs(step - own)[turning]
+    same = apart[:, 2] < _SAME
+    if turning.sum() < _MIN_STEPS or same.mean() <= 0.5 or apart[:, :2].max(axis=1).mean() <= _SAME:
         return []
-    same = np.abs(step[:, 2] - own[:, 2])[turning] < _SAME
-    if same.mean() > 0.5 and np.abs(step[:, :2] - own[:, :2]).max(axis=1)[turning].mean() > _SAME:
-        what = "they were made from it, so that errors of heading cannot be seen"
-        return [f"{truth.name}: {same.mean():.0%} of its headings turn exactly as the odometry does: {what}"]
-    return []
+    what = "they were made from it, so that errors of heading cannot be seen"
+    return [f"{truth.name}: {same.mean():.0%} of its headings turn exactly as the odometry does: {what}"]
 
 
 def without_course(odometry: Samples, truth: Samples) -> Samples:
