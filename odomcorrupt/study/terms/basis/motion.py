@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -61,25 +61,45 @@ def functions_of_motion(motions: Sequence[Motion], *, sideways: bool = False) ->
         if regressor in _HINGED:
             yield from _hinges(regressor, motions)
     yield from _either_signs(motions)
-    yield BasisFunction("acceleration", "k * a", (lambda m: m.a,), reaches=("bias",))  # g-sensitive gyro
-    yield from _interactions(sideways=sideways)
     yield from _saturations(motions)
-    yield from _one_way(motions, sideways=sideways)
-    if sideways:
-        yield BasisFunction(_SIDEWAYS, "k", (lambda m: np.ones(len(m)),), reaches=("sideways gain",))
-    yield from _at_rest()
+    for regressor, text, value, reaches, trials in _singles(motions, sideways=sideways):
+        yield BasisFunction(regressor, text, (value,), trials, reaches=reaches)
 
 
-def _interactions(*, sideways: bool) -> Iterator[BasisFunction]:
-    """Yield gains of turns that change sign with the direction of travel, and of travel with that of turns.
+_Single: TypeAlias = "tuple[str, str, Of, tuple[str, ...], int]"
+"""Regressor, text, function, targets and size of the family of a function without shape."""
 
-    They are proportional to the centripetal acceleration: an off-centre load, or a wheel that scrubs on one side.
+
+def _singles(motions: Sequence[Motion], *, sideways: bool) -> Iterator[_Single]:
+    """Yield functions without a shape that is searched.
+
+    Reverse is tested only if the robot drove in reverse: a wheel also runs backwards in turns on the spot.
     """
-    yield BasisFunction("speed", "k * v", (lambda m: m.v,), reaches=("turning",))
-    yield BasisFunction("yaw_rate", "k * omega", (lambda m: m.omega,), reaches=("travel",))
+    speed, yaw_rate = VALUES["speed"], VALUES["yaw_rate"]
+    either = ("max(abs(v), abs(omega))", lambda m: np.maximum(np.abs(m.v), np.abs(m.omega)))
+    ways: list[tuple[str, str, Of]] = [("yaw_rate", "omega", lambda m: m.omega), ("speed", "v", lambda m: m.v)]
+    # g-sensitive gyro
+    yield "acceleration", "k * a", lambda m: m.a, ("bias",), 1
+    # gains of turns that change sign with the direction of travel, and of travel with that of turns, proportional to
+    # the centripetal acceleration: an off-centre load, or a wheel that scrubs on one side
+    yield "speed", "k * v", lambda m: m.v, ("turning",), 1
+    yield "yaw_rate", "k * omega", lambda m: m.omega, ("travel",), 1
     if sideways:
-        yield BasisFunction(_SIDEWAYS, "k * vy", (lambda m: m.vy,), reaches=("turning",))
-        yield BasisFunction("yaw_rate", "k * abs(omega)", (lambda m: np.abs(m.omega),), reaches=("sideways",))
+        ways.append((_SIDEWAYS, "vy", lambda m: m.vy))
+        yield _SIDEWAYS, "k * vy", lambda m: m.vy, ("turning",), 1
+        yield "yaw_rate", "k * abs(omega)", lambda m: np.abs(m.omega), ("sideways",), 1
+        yield _SIDEWAYS, "k", lambda m: np.ones(len(m)), ("sideways gain",), 1
+    # in one direction only
+    for regressor, name, value in ways:
+        if name == "omega" or np.concatenate([value(m) < -_STILL for m in motions]).mean() > _least_part(motions):
+            text = f"k * where({name} < {-_STILL:.4g}, 1, 0)"
+            yield regressor, text, _below(value, -_STILL), _reaches(regressor, "one", "both"), 1
+    # of one wheel that scrubs in turns to one side
+    yield "yaw_rate", "k * max(omega, 0)", lambda m: np.maximum(m.omega, 0.0), ("one",), 2
+    yield "yaw_rate", "k * max(-omega, 0)", lambda m: np.maximum(-m.omega, 0.0), ("one",), 2
+    # only while the robot is at rest, does not drive, or does not turn
+    for regressor, (name, value) in (("speed", speed), ("yaw_rate", yaw_rate), ("speed", either)):
+        yield regressor, f"k * where({name} < {_STILL:.4g}, 1, 0)", _below(value, _STILL), ("bias",), 1
 
 
 def _reaches(regressor: str, *wheels: str) -> tuple[str, ...]:
@@ -243,35 +263,6 @@ def _saturation(trials: int, shape: tuple[float, ...], steps: tuple[float, ...],
         steps=steps,
         with_shape=lambda moved: _saturation(trials, moved, steps, most),
     )
-
-
-def _one_way(motions: Sequence[Motion], *, sideways: bool) -> Iterator[BasisFunction]:
-    """Yield errors in reverse only, to the right only, and of one wheel that scrubs in turns to one side.
-
-    Reverse is tested only if the robot drove in reverse: a wheel also runs backwards in turns on the spot.
-    """
-    tested: list[tuple[str, str, Of]] = [("speed", "v", lambda m: m.v)]
-    if sideways:
-        tested.append((_SIDEWAYS, "vy", lambda m: m.vy))
-    kinds: list[tuple[str, str, Of]] = [("yaw_rate", "omega", lambda m: m.omega)]
-    least = _least_part(motions)
-    kinds += [one for one in tested if np.concatenate([one[2](m) < -_STILL for m in motions]).mean() > least]
-    for regressor, name, value in kinds:
-        text = f"k * where({name} < {-_STILL:.4g}, 1, 0)"
-        yield BasisFunction(regressor, text, (_below(value, -_STILL),), reaches=_reaches(regressor, "one", "both"))
-    yield BasisFunction("yaw_rate", "k * max(omega, 0)", (lambda m: np.maximum(m.omega, 0.0),), 2, reaches=("one",))
-    yield BasisFunction("yaw_rate", "k * max(-omega, 0)", (lambda m: np.maximum(-m.omega, 0.0),), 2, reaches=("one",))
-
-
-def _at_rest() -> Iterator[BasisFunction]:
-    """Yield errors only while the robot is at rest, does not drive, or does not turn."""
-    for regressor, (text, value) in (
-        ("speed", VALUES["speed"]),
-        ("yaw_rate", VALUES["yaw_rate"]),
-        ("speed", ("max(abs(v), abs(omega))", lambda m: np.maximum(np.abs(m.v), np.abs(m.omega)))),
-    ):
-        form = f"k * where({text} < {_STILL:.4g}, 1, 0)"
-        yield BasisFunction(regressor, form, (_below(value, _STILL),), reaches=("bias",))
 
 
 def _above(value: Of, cut: float) -> Of:
