@@ -236,7 +236,8 @@ T = TypeVar("T", LibraryTerm, BasisTerm)
 
 def neighbours(term: T, scale: float) -> Iterator[T]:
     """Yield the term with one shape parameter at a time decreased and increased by `scale` of its step."""
-    here = term.shape.tolist()
-    for i, step in enumerate(term.steps.tolist()):
+    for i, step in enumerate(term.steps):
         for sign in (-1.0, 1.0):
-            yield term.with_shape([*here[:i], here[i] + sign * scale * step, *here[i + 1 :]])
+            shape = term.shape
+            shape[i] += sign * scale * step
+            yield term.with_shape(shape.tolist())
