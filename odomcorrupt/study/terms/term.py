@@ -86,7 +86,7 @@ class LibraryTerm:
     @property
     def shape(self) -> Array:
         """Values (s,) of the shape parameters."""
-        return np.array([getattr(self.start, p.name) for p in shapes(self.start)])
+        return np.array([getattr(self.start, p.name) for p in shapes(self.start)], dtype=np.float64)
 
     @property
     def steps(self) -> Array:
@@ -231,7 +231,7 @@ class BasisTerm:
 
 
 Term: TypeAlias = LibraryTerm | BasisTerm
-T = TypeVar("T", LibraryTerm, BasisTerm)
+T = TypeVar("T", LibraryTerm, BasisTerm, LibraryTerm | BasisTerm)
 
 
 def neighbours(term: T, scale: float) -> Iterator[T]:
