@@ -1,19 +1,13 @@
 """Detection of odometry that a filter corrects with external poses: its errors decay instead of accumulating.
 
-A filter (robot_localization, a fused SLAM) that receives poses removes a part of its error at every update. The change
-of the error in a second then depends on the present error; with wheels and gyros alone it does not. So each step's
-error is regressed on the earlier error (Dickey & Fuller 1979), with the robot's systematic errors as free terms. The
-earlier error is taken some time before, so that the truth's noise is not in both.
+The change of the error in a second then depends on the present error; with wheels and gyros alone it does not. So each
+step's error is regressed on the earlier error (Dickey & Fuller 1979), taken some time before, so that the truth's noise
+is not in both, with the robot's systematic errors as free terms. What imitates a decay:
 
-Errors of a localisation are correlated for longer than that and mean-reverting, too: odometry minus truth then decays
-because the *truth* is corrected. The two differ across: a filter with position input moves its odometry sideways
-towards the positions, wheels never do. This does not separate them for a robot that drives sideways. A single slip must
-not pass for a filter: the decay has to occur all along the drive, so standard errors are those of clustered data
-(Liang & Zeger 1986), with stretches of the drive as clusters.
-
-Play of gears and castors that swing round turn the odometry forth and back by a bounded angle, so that its error of
-heading seems to decay, too. They act only on the way after a reversal of a wheel or of the robot, a filter everywhere.
-A decay of the heading must therefore also occur away from reversals.
+- errors of a localisation, which are corrected themselves: a filter with position input moves its odometry sideways,
+  wheels never do, unless the robot drives sideways;
+- a single slip: the decay has to occur all along the drive, by standard errors of clustered data (Liang & Zeger 1986);
+- play of gears and castors after reversals: a decay of the heading has to occur away from these, too.
 
 An occasional pose moves the odometry within one message, which wheels never do. If such steps lead towards the truth
 they are removed; the rest is free odometry, from which everything can be learned.

@@ -1,12 +1,10 @@
 """Headings for a truth of positions only: linearisation points, not measurements.
 
-A few metres of the odometry's path around each truth sample are aligned with the truth's positions; the rotation gives
-the heading there. These headings depend on the odometry, so the likelihood treats them as unknown: their variance is
-`UNKNOWN_RAD` squared, practically flat within the range of the linearisation. Only the positions carry information.
-
-Drift errors at the end of a window also need an initial heading. For each model it comes from that model's corrected
-odometry aligned with the positions; bends of the uncorrected odometry then do not count as errors of the model. Its
-error depends on the window's own positions, see `position_windows`.
+A few metres of the odometry's path around each truth sample are aligned with the truth's positions. These headings
+depend on the odometry, so the likelihood gives them a variance of `UNKNOWN_RAD` squared, practically flat within the
+range of the linearisation. Windows start with a heading of each model's corrected odometry, so that bends of the
+uncorrected one do not count as errors of the model; its error depends on the window's positions, see
+`position_windows`.
 """
 
 from __future__ import annotations

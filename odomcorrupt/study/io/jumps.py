@@ -1,15 +1,12 @@
 """Jumps in a path: short ones (spikes, excursions of the truth) are removed, lasting ones split it into stretches.
 
 A reset of the odometry, a tracker that swaps its markers or a shifted map is no odometry error, so no increment may
-span it. The parts before and after are separate runs with separate clocks.
+span it. Swapped markers turn a pose by any angle: one side of it may look like motion and the other like a jump of all
+that follows, so spikes are removed before jumps are detected.
 
-Swapped markers turn a pose by any angle, often by less than the threshold of a jump. One side of it may then look like
-motion and the other like a jump of everything that follows, so spikes are removed before jumps are detected. Only poses
-are tested, not stamps: stamps may be bunched, and a late pose still belongs to the path.
-
-Excursions of the truth depart from the odometry and return: a localisation that is lost for some seconds and a tracker
-that swaps two markers are off by decimetres. A robot that was pushed or lifted stays at its new place. Running medians
-of the difference between truth and odometry separate the two: a median follows a lasting step and ignores a short one.
+Excursions of the truth depart from the odometry and return, as of a localisation that is lost for some seconds; a robot
+that was pushed or lifted stays at its new place. Running medians of truth minus odometry separate the two: a median
+follows a lasting step and ignores a short one.
 """
 
 from __future__ import annotations

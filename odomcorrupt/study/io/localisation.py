@@ -1,11 +1,9 @@
 """Detection of a truth that is a localisation on top of the odometry, and its reduction to the corrections.
 
-AMCL and SLAM correct the odometry intermittently (nav2's amcl: after 0.25 m or 0.2 rad). In between, TF returns the
-last correction composed with the odometry since then. Poses sampled from TF at a fixed rate therefore repeat the
-odometry with its errors. Only the poses at which the correction changed are independent of it.
-
-A localisation may also send poses of its own at a high rate. Its errors depend on the view, so that they are the same
-in poses of one place: those after some motion are enough.
+AMCL and SLAM correct the odometry intermittently (nav2's amcl: after 0.25 m or 0.2 rad). Poses sampled from TF at a
+fixed rate repeat the odometry with its errors in between, so only those at which the correction changed are used. Of
+poses that a localisation sends at a high rate, those after some motion are: errors depend on the view, and are the same
+in poses of one place.
 """
 
 from __future__ import annotations

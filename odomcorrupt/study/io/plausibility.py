@@ -1,11 +1,8 @@
 """Plausibility checks of odometry and truth as one run, before any computation.
 
-Of two paths of different drives, only clear mismatches are refused. Wheels slip, fixes drift and platforms move
-sideways, yet over two seconds speed or yaw rate still agrees with the odometry. The better of the two correlations is
-at least 0.6 in 19 recordings by others, and at most 0.4 between different drives of some minutes.
-
 Motions are compared by the cross-correlation of speeds and yaw rates over lags, which is independent of their frames.
-Signs, axes and units are those of `first_look`.
+Only clear mismatches are refused: the better of the two correlations is at least 0.6 in 19 recordings by others, and at
+most 0.4 between different drives of some minutes.
 """
 
 from __future__ import annotations

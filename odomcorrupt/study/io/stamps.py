@@ -1,12 +1,9 @@
 """Rounded stamps, stamps of a pose's arrival instead of its measurement, and steps of a clock during a recording.
 
-Drivers and loggers round stamps to milliseconds or to hundredths of a second, which hides clock offsets of less than
-half of that. A network time daemon that steps a clock shifts all later stamps: they jump relative to the log times,
-which remain even. The parts before and after a step have different clocks.
-
-Stamps of arrival vary in their intervals while steps do not; so do poses published after a fixed travel. The other
-path, interpolated at these stamps, tells whether the speed really changed: odometry at the truth's stamps, or truth at
-the odometry's.
+Rounding hides clock offsets of less than half of it. A daemon that steps a clock shifts all later stamps relative to
+the log times; the parts before and after have different clocks. Stamps of arrival vary in their intervals while steps
+do not; so do poses published after a fixed travel, so the other path, interpolated at these stamps, tells whether the
+speed really changed.
 """
 
 from __future__ import annotations

@@ -1,13 +1,9 @@
 """Comparison of models on recordings: predicted and measured errors, lack of fit, and likelihood.
 
-Models are evaluated on recordings that they were not fitted to. If a model was fitted to these recordings, which their
-content shows, it is cross-validated: refitted without a fold of them and evaluated on it, see `cross_validation`. All
-models are evaluated on the same pieces. Clocks belong to a recording, not to a robot: they are estimated on each one,
-the same for every model; only a rejection has to remain with all clocks that the data allow.
-
-Whether a model is better than another takes several measures, because a single one can mislead: on one drive the
-position error after 10 s fell to 95 % while the log likelihood fell by 24 nats per metre and the trajectory error
-doubled.
+Models are evaluated on recordings that they were not fitted to, or cross-validated if they were (`cross_validation`),
+all on the same pieces and with the same clocks (`evaluation_clocks`). Whether a model is better takes several measures:
+on one drive the position error after 10 s fell to 95 % while the log likelihood fell by 24 nats per metre and the
+trajectory error doubled.
 """
 
 from __future__ import annotations

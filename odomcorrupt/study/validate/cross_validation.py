@@ -1,11 +1,8 @@
 """Folds of the fitted recordings for cross-validation: a model is refitted without a fold and evaluated on it.
 
-All recordings of a robot are one study: folds are whole runs, and a refit uses all others together, because a single
-run may not show every effect (one that drives ahead only cannot tell the turn of its wheels from their scale). A single
-run has two folds, its halves. Folds depend neither on the names of the recordings nor on their order.
-
-Refits begin at the fit of all recordings and are weakly held by it, so that an effect that the remaining recordings do
-not show stays where it was instead of anywhere.
+Folds are whole runs, or the halves of a single one; a refit uses all others together, because a single run may not show
+every effect. It is weakly held by the fit of all recordings, so that an effect that the others do not show stays where
+it was. Folds depend neither on the names of the recordings nor on their order.
 """
 
 from __future__ import annotations

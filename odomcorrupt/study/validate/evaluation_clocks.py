@@ -1,13 +1,9 @@
-"""Clocks with which models are evaluated.
+"""Clocks with which models are evaluated: the same for all models of a comparison.
 
-A clock belongs to a recording, not to a model: all models of a comparison are evaluated with the same one. If each were
-evaluated with its best clock, a clock would make up for a part of the errors of a wrong model (late travel looks like
-slip at starts), and differences of log likelihood and 10 s error would mix those of models with those of clocks.
-
-A clock is known within its standard error only, estimated with effects that resemble an offset left free. A model that
-is rejected with the common clock is therefore tested again with the offset that is most likely for it within two
-standard errors, and is rejected only if it is there too. A wrong model gains no more than this, because the range does
-not depend on it.
+If each were evaluated with its best clock, a clock would make up for a part of the errors of a wrong model (late travel
+looks like slip at starts). But a clock is known within its standard error only. A model that is rejected is therefore
+tested again with the offset that is most likely for it within two standard errors; a wrong model gains no more than
+this, because the range does not depend on it.
 """
 
 from __future__ import annotations

@@ -1,15 +1,10 @@
 """Predictive checks: corrupted runs along the truth's path against the measured odometry, and their size of drift.
 
-The truth's path is smoothed (its noise would count as motion) and corrupted by the same code as bags. The resulting
-error is added to the measured truth. Runs and measured odometry both start at the truth.
-
-A robust fit excludes slips, and its noise describes the remaining data; a simulation corrupted with it never slips.
-For `reproduction_of`, noise like the truth's is added to its path, and the error after 10 s is compared with the
-measured one (a posterior predictive check: Gelman, Meng & Stern 1996, Statistica Sinica 6), together with the share of
-it from outliers.
-
-After 10 s most of the measured error may be the truth's own. Odometry noise accumulates further and errors of a truth
-do not, so the error over a quarter of the drive shows whether truth errors were mistaken for noise.
+The truth's path is smoothed (its noise would count as motion) and corrupted by the same code as bags; the error is
+added to the measured truth. A robust fit excludes slips, so a simulation never slips: `reproduction_of` compares the
+error after 10 s with the measured one (a posterior predictive check: Gelman, Meng & Stern 1996, Statistica Sinica 6),
+and its share from outliers. Odometry noise accumulates and errors of a truth do not, so the error over a quarter of the
+drive shows whether truth errors were mistaken for noise.
 """
 
 from __future__ import annotations
