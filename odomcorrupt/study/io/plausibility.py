@@ -176,9 +176,7 @@ def check_pair(odometry: Samples, truth: Samples) -> None:
 
 
 def _check_time(odometry: Samples, truth: Samples) -> None:
-    shared = (
-        float(min(odometry.stamps_ns[-1], truth.stamps_ns[-1]) - max(odometry.stamps_ns[0], truth.stamps_ns[0])) * 1e-9
-    )
+    shared = odometry.shared_s(truth)
     if shared >= SHORTEST_S:
         return
     for path in (odometry, truth):

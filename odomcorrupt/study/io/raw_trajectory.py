@@ -83,6 +83,11 @@ class Samples:
         """Times since the first stamp (n,), seconds."""
         return self.seconds_since(int(self.stamps_ns[0]))
 
+    def shared_s(self, other: Samples) -> float:
+        """Return the time that both trajectories cover, seconds; negative if they are apart."""
+        first, last = max(self.stamps_ns[0], other.stamps_ns[0]), min(self.stamps_ns[-1], other.stamps_ns[-1])
+        return float(last - first) * 1e-9
+
     def seconds_since(self, origin_ns: int) -> Array:
         """Return the stamps as seconds (n,) since an integer origin."""
         return (self.stamps_ns - origin_ns).astype(np.float64) * 1e-9

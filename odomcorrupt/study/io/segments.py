@@ -90,18 +90,18 @@ def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: flo
             notes += restarts
         pieces.append([path.only(own) for own in rows])
     both = [(one, other) for one in pieces[0] for other in pieces[1]]
-    moved = [pair for pair in both if _shared_s(*pair) >= SHORTEST_S and _moves(pair[0])]
-    enough = [pair for pair in moved if _shared_s(*pair) >= (MIN_HEADED_S if pair[1].headed else _MIN_UNHEADED_S)]
-    moved = enough or moved
+    moved = [(one, other) for one, other in both if one.shared_s(other) >= SHORTEST_S and _moves(one)]
+    least_s = MIN_HEADED_S if truth.headed else _MIN_UNHEADED_S
+    moved = [(one, other) for one, other in moved if one.shared_s(other) >= least_s] or moved
     if not moved:
-        longest_s = max(_shared_s(*pair) for pair in both)
+        longest_s = max(one.shared_s(other) for one, other in both)
         raise RecordingError(
             f"{name}: jumps leave no stretch of {SHORTEST_S:g} s in which the robot moves (the longest lasts "
             f"{max(longest_s, 0.0):.1f} s); {'; '.join(notes)}"
         )
     if len(both) > 1:
-        used = sum(_shared_s(*pair) for pair in moved)
-        notes.append(f"{len(moved)} independent stretches used, {used:.0f} s of {_shared_s(odometry, truth):.0f} s")
+        used = sum(one.shared_s(other) for one, other in moved)
+        notes.append(f"{len(moved)} independent stretches used, {used:.0f} s of {odometry.shared_s(truth):.0f} s")
     origin_ns, several = int(moved[0][0].stamps_ns[0]), len(moved) > 1
     if several:  # parts separated by resets still share one clock
         origin_ns, moved = int(odometry.stamps_ns[0]), [_with_margins(*pair) for pair in moved]
@@ -159,10 +159,6 @@ def _with_margins(odometry: Samples, truth: Samples) -> tuple[Samples, Samples]:
     first, last = odometry.stamps_ns[0] - margin, odometry.stamps_ns[-1] + margin
     inside = (truth.stamps_ns >= first) & (truth.stamps_ns <= last)
     return odometry.only(odometry.stamps_ns <= truth.stamps_ns[-1] + margin), truth.only(inside)
-
-
-def _shared_s(a: Samples, b: Samples) -> float:
-    return float(min(a.stamps_ns[-1], b.stamps_ns[-1]) - max(a.stamps_ns[0], b.stamps_ns[0])) * 1e-9
 
 
 def _moves(path: Samples) -> bool:
