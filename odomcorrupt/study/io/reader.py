@@ -82,7 +82,8 @@ def _read_runs(source: Source, progress: Callable[[str, float], None] | None) ->
     """Return the recordings of one run without the drive type; see `read_runs`."""
     if source.relative is not None:
         return _by_motions(source, source.relative)
-    scan = source.scan or _automatic_scan(source)
+    unnamed = not (source.names_truth or is_text(source.path))
+    scan = source.scan or (only_scan(source.path) if unnamed else None)
     if scan is not None and scan != NO_SCAN:
         if source.names_truth:
             raise RecordingError(f"{source.place}: --scan {scan} and a truth; name one of them")
@@ -92,7 +93,7 @@ def _read_runs(source: Source, progress: Callable[[str, float], None] | None) ->
         return _by_gyro(source, imu)
     odometry, truth = _read(source)
     wheels = _with_wheels(source, odometry)
-    return _with_heading_source(source, imu, odometry, wheels.noted(_between_clock_steps(source, wheels, truth)))
+    return _with_heading_source(source, wheels, _between_clock_steps(source, wheels, truth))
 
 
 def read_study(sources: Sequence[Source], progress: Callable[[str, float], None] | None = None) -> list[Recording]:
@@ -179,50 +180,51 @@ def _by_laser(source: Source, scan: str, progress: Callable[[str, float], None] 
         if source.scan or not _imu_of(source):
             raise
         raise RecordingError(f"{why}; --scan {NO_SCAN} leaves the laser out: diagnose by the gyro alone") from None
-    runs = _of_parts(source, wheels, parts, "no part of the laser's map is long enough; drive slower or longer")
-    if len(parts) > 1:
-        runs = [replace(r, name=f"{r.name}, map part {i}") for i, r in enumerate(runs, start=1)]
+    error = source.truth_scale_error
+    said = f"the laser's scale is accurate to {error:.2%}, which limits all scales (--laser-scale-accuracy)"
+    too_short = "no part of the laser's map is long enough; drive slower or longer"
+    runs = _of_parts(source, wheels, parts, too_short, "map part", said)
     runs = [replace(r, frame=source.title) for r in runs]
     (opening, *others), chosen = runs[0].notes, f"no truth: the laser on {scan} is used instead (as with --scan {scan})"
     notes = (opening, *(() if source.scan else (chosen,)), *others)
     runs[0] = replace(runs[0], alerts=(*runs[0].alerts, *alerts_of(run)), notes=notes)
-    error = source.truth_scale_error
-    said = f"the laser's scale is accurate to {error:.2%}, which limits all scales (--laser-scale-accuracy)"
-    return _with_heading_source(source, _imu_of(source), wheels.odometry, wheels.noted(_noted(runs, said)))
+    return runs
 
 
 def _by_motions(source: Source, path: Path) -> list[Recording]:
     """Return the recordings of a run with a file of relative motions as truth, one for each chain of motions."""
     if source.names_truth or source.scan is not None:
         raise RecordingError(f"{source.place}: --relative {path} and a truth or scans; name one of them")
-    odometry = _odometry_of(source)
-    wheels = _with_wheels(source, odometry)
+    wheels = _with_wheels(source, _odometry_of(source))
     chains = chains_of(read_motions(path).shifted(source.truth_shift_s), wheels.odometry)
-    too_short = "no chain of motions is long enough; record longer"
-    runs = _of_parts(replace(source, truth_shift_s=0.0), wheels, chains, too_short)
-    if len(runs) > 1:
-        runs = [replace(r, name=f"{r.name}, chain {i}") for i, r in enumerate(runs, start=1)]
-    runs = [replace(r, frame=r.name) for r in runs]
-    error = source.truth_scale_error
+    error, source = source.truth_scale_error, replace(source, truth_shift_s=0.0)
     said = f"lengths of the motions are accurate to {error:.2%}, which limits all scales (--laser-scale-accuracy)"
-    return _with_heading_source(source, _imu_of(source), odometry, wheels.noted(_noted(runs, said)))
+    too_short = "no chain of motions is long enough; record longer"
+    return [replace(r, frame=r.name) for r in _of_parts(source, wheels, chains, too_short, "chain", said)]
 
 
-def _of_parts(source: Source, wheels: _Wheeled, parts: list[Samples], too_short: str) -> list[Recording]:
-    """Return the recordings of the parts of a truth that are long enough, of lengths as accurate as the source's."""
+def _of_parts(
+    source: Source, wheels: _Wheeled, parts: list[Samples], too_short: str, part: str, said: str
+) -> list[Recording]:
+    """Return the recordings of the parts of a truth that are long enough, of lengths as accurate as the source's.
+
+    part : what a part is called in names; said : a note on the truth
+    """
     found: list[Recording] = []
-    for part in parts:
+    for one in parts:
         try:
-            found += recordings_of(source.title, wheels.odometry, part, wheels.track_m, source.truth_shift_s)
+            found += recordings_of(source.title, wheels.odometry, one, wheels.track_m, source.truth_shift_s)
         except RecordingError:
             if len(parts) == 1:
                 raise
     if not found:
         raise RecordingError(f"{source.place}: {too_short}")
     runs = [replace(r, truth_scale_error=source.truth_scale_error) for r in found]
-    if len(runs) == 1:
-        return runs
-    return [replace(r, clock=r.clock or f"{source.title} from {r.origin_ns}") for r in runs]
+    if len(runs) > 1:
+        runs = [replace(r, clock=r.clock or f"{source.title} from {r.origin_ns}") for r in runs]
+    if len(parts) > 1:
+        runs = [replace(r, name=f"{r.name}, {part} {i}") for i, r in enumerate(runs, start=1)]
+    return _with_heading_source(source, wheels, _noted(runs, said))
 
 
 def _by_gyro(source: Source, imu: str) -> list[Recording]:
@@ -233,30 +235,22 @@ def _by_gyro(source: Source, imu: str) -> list[Recording]:
     truth = gyro_truth(wheels.odometry, gyro)
     runs = wheels.noted(recordings_of(source.title, wheels.odometry, truth, wheels.track_m, source.truth_shift_s))
     error = source.gyro_scale_error
-    runs = [
-        replace(
-            r,
-            positioned=False,
-            pulled_per_s=0.0,
-            turn_scale_error=error,
-            heading_source=gyro.heading_source,
-        )
-        for r in runs
-    ]
+    runs = [replace(r, positioned=False, pulled_per_s=0.0, heading_source=gyro.heading_source) for r in runs]
     return _noted(
-        runs,
+        [replace(r, turn_scale_error=error) for r in runs],
         f"no truth, no laser: wheels and the gyro on {imu} alone. What they disagree about is an error of one of "
         "them; travel cannot be known (not testable: wheel_scale, speed_scale and all else that is travel)",
         f"the gyro's turns are accurate to {error:.2%}, which limits any gain of turns (--gyro-scale-accuracy)",
     )
 
 
-def _with_heading_source(source: Source, imu: str | None, odometry: Samples, runs: list[Recording]) -> list[Recording]:
-    """Return the recordings with the source of the odometry's heading, as found from a gyro beside the truth."""
+def _with_heading_source(source: Source, wheels: _Wheeled, runs: list[Recording]) -> list[Recording]:
+    """Return the recordings with notes on the wheels, and the source of the heading by a gyro beside the truth."""
+    runs, imu = wheels.noted(runs), _imu_of(source)
     if imu is None:
         return runs
     try:
-        gyro = yaw_gyro(read_gyro(source.path, source.place, imu), in_order(odometry))
+        gyro = yaw_gyro(read_gyro(source.path, source.place, imu), in_order(wheels.odometry))
     except RecordingError as error:
         if source.imu is not None:
             raise
@@ -424,11 +418,6 @@ def _witnesses(source: Source) -> list[Witness]:
         left, right = angles.angle.T
         found.append(Witness(" and ".join(angles.joints), angles.stamps_ns, right - left, independent=False))
     return found
-
-
-def _automatic_scan(source: Source) -> str | None:
-    """Return the only scan topic of a bag if neither a scan nor a truth is named; otherwise None."""
-    return None if source.names_truth or is_text(source.path) else only_scan(source.path)
 
 
 def _imu_of(source: Source) -> str | None:
