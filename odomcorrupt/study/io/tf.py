@@ -11,7 +11,7 @@ are used.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, Block, Channel
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.topic_selection import Address
 
 _MAX_EDGES = 100_000
@@ -135,13 +136,6 @@ class _Ordered(NamedTuple):
         return interpolated(own_s, self.poses, np.clip(at_s, own_s[0], own_s[-1]))
 
 
-@dataclass(slots=True)
-class _Collected:
-    stamps: list[NDArray[np.int64]] = field(default_factory=list)
-    logs: list[NDArray[np.int64]] = field(default_factory=list)
-    values: list[NDArray[np.float64]] = field(default_factory=list)
-
-
 class EdgeReader:
     """Collector of the edges that connect the two frames of an address, block by block."""
 
@@ -151,7 +145,9 @@ class EdgeReader:
         self.channels = channels
         self.tree = tree
         self.way = tree.way(address, place)
-        self.collected = {edge: _Collected() for edge, _ in self.way}
+        self.collected: dict[Edge, list[tuple[NDArray[np.int64], NDArray[np.int64], Array]]] = {
+            edge: [] for edge, _ in self.way
+        }
 
     def take(self, block: Block) -> None:
         """Append the transforms of these edges in a block."""
@@ -161,10 +157,9 @@ class EdgeReader:
                     here = self.collected.get(Edge(plain(item.frame_id), plain(item.child_frame_id)))
                     if here is None:
                         continue
-                    here.stamps.append(gather_stamps_ns(block, layout, item))
-                    here.logs.append(block.table["log_ns"][layout.rows])
                     pose = (gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
-                    here.values.append(np.concatenate(pose, axis=1))
+                    logs_ns = block.table["log_ns"][layout.rows]
+                    here.append((gather_stamps_ns(block, layout, item), logs_ns, np.concatenate(pose, axis=1)))
 
     def samples(self) -> Samples:
         """Return the composed poses.
@@ -211,15 +206,14 @@ class EdgeReader:
         )
 
     def _edge(self, edge: Edge) -> _Ordered:
-        here = self.collected[edge]
-        values = np.concatenate(here.values)
+        stamps, logs, values = (np.concatenate(part) for part in zip(*self.collected[edge], strict=True))
         values = np.concatenate((values[:, :3], unit(values[:, 3:])), axis=1)
         # comparisons with NaN are false
         good = np.asarray((np.abs(values) < FAR_M).all(axis=1))
         if not good.any():
             raise RecordingError(f"{self.place}: none of {len(good)} transforms {edge.parent}.{edge.child} is a number")
         check_order(f"{self.place}: {edge.parent}.{edge.child}", values[good][:, :3], values[good][:, 3:])
-        stamps, logs = np.concatenate(here.stamps)[good], np.concatenate(here.logs)[good]
+        stamps, logs = stamps[good], logs[good]
         # Static edges are repeated with arbitrary stamps.
         order = order_of(stamps, logs if edge in self.tree.moving else logs[:0])
         kept = values[good][order.rows]
