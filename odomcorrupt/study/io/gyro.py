@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.bags.open import open_reader
@@ -83,8 +84,7 @@ class YawGyro:
         """Return the integrated heading (m,) at stamps within the record, rad; zero at its start."""
         origin = int(self.stamps_ns[0])
         own = (self.stamps_ns - origin) * 1e-9
-        heading = np.concatenate(([0.0], np.cumsum(0.5 * (self.rate[1:] + self.rate[:-1]) * np.diff(own))))
-        return np.interp((stamps_ns - origin) * 1e-9, own, heading)
+        return np.interp((stamps_ns - origin) * 1e-9, own, cumulative_trapezoid(self.rate, own, initial=0.0))
 
 
 def only_imu(path: Path) -> str | None:
@@ -155,7 +155,7 @@ def yaw_gyro(gyro: Gyro, odometry: Samples) -> YawGyro:
     turned = _rate_on(odo_s, heading, grid)
     if float(np.std(turned)) < 5.0 * _STILL_RADPS:
         raise RecordingError(f"{odometry.place}: hardly turns, so that a gyro shows nothing: leave --imu out")
-    angles = _integrated(own_s, gyro.rates)
+    angles = cumulative_trapezoid(gyro.rates, own_s, axis=0, initial=0.0)
     lag_s, coefficients, corr = _lagged(own_s, angles, grid, turned)
     if corr < _MIN_CORR:
         raise RecordingError(
@@ -238,12 +238,6 @@ def gyro_truth(odometry: Samples, gyro: YawGyro) -> Samples:
         covariance=covariance,
         relative=True,
     )
-
-
-def _integrated(t_s: Array, rates: Array) -> Array:
-    """Return angles (n, c) integrated from rates (n, c) by the trapezoidal rule, rad."""
-    steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(t_s)[:, None]
-    return np.concatenate((np.zeros((1, rates.shape[1])), np.cumsum(steps, axis=0)))
 
 
 def _rate_on(t_s: Array, angle: Array, grid: Array) -> Array:
