@@ -122,9 +122,9 @@ class ShapeSearch:
         """Return the term at the nearest maximum of the approximate gain; unchanged if it is an effect with memory."""
         if not len(term.shape) or (isinstance(term, LibraryTerm) and term.remembers):
             return term
-        wide = _WIDE if getattr(term, "action", None) and term.several_maxima else ()
+        wide = _WIDE if isinstance(term, BasisTerm) and term.several_maxima else ()
         (nats,) = self.coarse_gains([term])
-        for scale in (*wide, *_COARSE):
+        for scale in wide + _COARSE:
             for _ in range(_MOST_STEPS):
                 near: list[T] = list(neighbours(term, scale))
                 gains = self.coarse_gains(near)
