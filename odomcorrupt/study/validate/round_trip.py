@@ -20,7 +20,6 @@ from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.effects.expression import UserEffect, user_effect
 from odomcorrupt.errors import EffectError, ModelError, OdomCorruptError
 from odomcorrupt.geometry.se2 import compose, inverse
-from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.regressors import MotionSmoother
@@ -31,8 +30,6 @@ from odomcorrupt.study.validate.predictive_check import overlapping, smooth_trut
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
@@ -68,13 +65,15 @@ class RoundTrip:
 
 @dataclass(frozen=True, slots=True)
 class _Drive:
-    """One fitted recording with corrected clock: times (n,) s, measured poses and smoothed truth (n, 3)."""
+    """One fitted recording with corrected clock, and the smoothed truth at its odometry (n, 3)."""
 
     recording: Recording
-    stamps_ns: NDArray[np.int64]
-    t_s: Array
-    measured_xyt: Array
     true_xyt: Array
+
+    @property
+    def t_s(self) -> Array:
+        """Times of the odometry (n,), s."""
+        return self.recording.odometry_s
 
 
 def verified_model(model: MotionModel, recordings: Sequence[Recording]) -> RoundTrip:
@@ -99,7 +98,7 @@ def verified_model(model: MotionModel, recordings: Sequence[Recording]) -> Round
     corrected, notes = _correctable(model, drives)
     left_out |= dict.fromkeys(_names(model) - _names(corrected), "`correct` leaves a smaller error without it")
     model = corrected
-    said = (*changes, *notes, *bound_notes(model), *_setup_note(model, recordings))
+    said = (*changes, *notes, *bound_notes(model), *_setup_note(model, drives))
     if said:
         model = replace(model, source=dict(model.source) | {"remarks": list(said)})
     return RoundTrip(model, said, left_out)
@@ -130,17 +129,14 @@ def bound_notes(model: MotionModel) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _setup_note(model: MotionModel, recordings: Sequence[Recording]) -> list[str]:
+def _setup_note(model: MotionModel, drives: Sequence[_Drive]) -> list[str]:
     """Return why the errors of `correct` and of the fit differ, if the set-up makes them differ."""
     names = [effect.name for effect in model.setup.effects]
     # The laser's mounting belongs to the truth; it is not corrected in the odometry.
-    if not names or all(r.matched for r in recordings):
+    if not names or all(drive.recording.matched for drive in drives):
         return []
-    on_time = [aligned(r, _clock(model, r)) for r in recordings]
-    robot, both = (
-        phased_rmse([with_recomputed_headings(undo(r, effects)) for r in on_time])
-        for effects in (model.effects, (*model.effects, *model.setup.effects))
-    )
+    alone = replace(model, setup=replace(model.setup, effects=()))
+    robot, both = _fitted_error(alone, drives), _fitted_error(model, drives)
     if not abs(robot - both) > _MIN_DIFFERENCE * both:
         return []
     said = (
@@ -158,7 +154,7 @@ def _clock(model: MotionModel, recording: Recording) -> Clock:
 def _drive(model: MotionModel, recording: Recording) -> _Drive:
     whole = overlapping(with_recomputed_headings(aligned(recording, _clock(model, recording))))
     smooth, _ = smooth_truth(whole)
-    return _Drive(whole, whole.odometry.stamps_ns, whole.odometry_s, whole.odometry.xyt, smooth)
+    return _Drive(whole, smooth)
 
 
 def _within_bounds(model: MotionModel, changes: list[str]) -> MotionModel:
@@ -195,8 +191,9 @@ def _failure(model: MotionModel, drives: Sequence[_Drive]) -> str:
             return "the fitted odometry corrected with it is not finite"
     for run in range(RUNS if random else 1):
         for drive, rows in _driven(drives, run):
+            stamps_ns = drive.recording.odometry.stamps_ns[rows]
             try:
-                moved = NoisyPath(plain, 0, run).feed(drive.stamps_ns[rows], drive.true_xyt[rows]).error_xyt
+                moved = NoisyPath(plain, 0, run).feed(stamps_ns, drive.true_xyt[rows]).error_xyt
             except OdomCorruptError:
                 return "no odometry satisfies it on the fitted drive"
             if not np.isfinite(moved).all():
@@ -278,16 +275,17 @@ def _fitted_error(model: MotionModel, drives: Sequence[_Drive]) -> float:
 
 def _correction(effects: Sequence[Effect], drive: _Drive) -> Array:
     """Return corrected minus measured poses (n, 3), computed as by `correct`; places are in the truth's frame."""
-    frame = compose(drive.true_xyt[0], inverse(drive.measured_xyt[0]))
+    frame = compose(drive.true_xyt[0], inverse(drive.recording.odometry.xyt[0]))
     track_m = drive.recording.track_m
-    return undo_effects(effects, drive.t_s, drive.measured_xyt, track_m, frame_xyt=frame).error_xyt
+    return undo_effects(effects, drive.t_s, drive.recording.odometry.xyt, track_m, frame_xyt=frame).error_xyt
 
 
 def _corrected_error(effects: Sequence[Effect], model: MotionModel, drives: Sequence[_Drive]) -> float:
     """Return the position error (m) after 10 s of `correct` on the fitted data, with the model's set-up removed."""
     runs = []
     for drive in drives:
-        odometry = Trajectory(drive.stamps_ns, drive.measured_xyt + _correction(effects, drive))
+        before = drive.recording.odometry
+        odometry = replace(before, xyt=before.xyt + _correction(effects, drive))
         runs.append(with_recomputed_headings(undo(replace(drive.recording, odometry=odometry), model.setup.effects)))
     return phased_rmse(runs)
 
