@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import minimize
@@ -324,8 +324,6 @@ def _robust_truth(intervals: Intervals, q: Array, recording: Recording) -> tuple
     return TruthNoise(xy, yaw if recording.headed else UNKNOWN_RAD, walk), usual
 
 
-_Summed = Literal["interval_nats", "sized_nats", "interval_metres"]
-
 BLOCK_S = 15.0
 """Errors of a robot are correlated over seconds; blocks of this length, seconds, are nearly independent."""
 
@@ -343,10 +341,9 @@ class LogScore:
 
 def log_score_of(pieces: Sequence[Evaluation], first: Sequence[Evaluation]) -> LogScore:
     """Return the nats per metre of evaluated pieces, and their paired difference from those of the first model."""
-    own, base = _blocks(pieces, pieces), _blocks(first, pieces)
-    metres = _blocks(pieces, pieces, "interval_metres")
-    ratio, error = _ratio(own, metres)
-    gain, gain_error = _ratio(own - base, metres)
+    metres = _blocks(pieces, [piece.interval_metres for piece in pieces])
+    ratio, error = _ratio(_blocks(pieces, [piece.interval_nats for piece in pieces]), metres)
+    gain, gain_error = _ratio(block_differences(pieces, first, sized=False), metres)
     return LogScore(ratio, error, gain, gain_error, len(metres))
 
 
@@ -355,17 +352,16 @@ def block_differences(pieces: Sequence[Evaluation], others: Sequence[Evaluation]
 
     sized : whether to rescale the noise to each recording, see `Evaluation.sized_nats`
     """
-    what: _Summed = "sized_nats" if sized else "interval_nats"
-    return _blocks(pieces, pieces, what) - _blocks(others, pieces, what)
+    nats = [[one.sized_nats if sized else one.interval_nats for one in each] for each in (pieces, others)]
+    return _blocks(pieces, [own - other for own, other in zip(*nats, strict=True)])
 
 
-def _blocks(pieces: Sequence[Evaluation], cut_by: Sequence[Evaluation], what: _Summed = "interval_nats") -> Array:
-    """Return sums (b,) of log likelihood or metres over blocks of time."""
+def _blocks(pieces: Sequence[Evaluation], values: Sequence[Array]) -> Array:
+    """Return sums (b,) over blocks of time of values (K,) of the intervals of each piece."""
     sums = []
-    for piece, like in zip(pieces, cut_by, strict=True):
-        end_s = like.problem.intervals.end_s
-        block = ((end_s - end_s[0]) / BLOCK_S).astype(np.int64)
-        sums.append(np.bincount(block, getattr(piece, what)))
+    for piece, own in zip(pieces, values, strict=True):
+        end_s = piece.problem.intervals.end_s
+        sums.append(np.bincount(((end_s - end_s[0]) / BLOCK_S).astype(np.int64), own))
     return np.concatenate(sums)
 
 
