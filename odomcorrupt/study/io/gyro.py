@@ -18,7 +18,7 @@ from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.se2 import rotate
 from odomcorrupt.geometry.trajectory import distance_along
-from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.raw_trajectory import FEWEST, REPORTED_LAG_S, Samples
 from odomcorrupt.study.io.topic_selection import near, plain
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 IMU = "sensor_msgs/msg/Imu"
 SCALE_ACCURACY = 0.01
 """Default standard deviation of a gyro's scale error: 1 % (uncalibrated MEMS)."""
-_MIN_SAMPLES = 50
 _GRID_S = 0.05
 _MAX_LAG_S = 1.0  # largest lag between gyro and odometry
 _MIN_CORR = 0.6  # least correlation of their yaw rates
@@ -45,7 +44,6 @@ _EXACT_RAD = 1e-7  # smaller heading steps count as zero
 _RIDGE = 0.05  # regularisation of the axis estimate, relative to the trace
 _MAX_HZ = 100.0  # highest rate of a truth made from a gyro
 _UNKNOWN_M2 = 100.0  # position variance of such a truth
-_REPORTED_LAG_S = 0.01  # shorter lags are not reported
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +122,7 @@ def read_gyro(path: Path, place: str, topic: str) -> Gyro:
     _, index = np.unique(stamps[good], return_index=True)
     stamps, rates = stamps[good][index], rates[good][index]
     where = f"{place}: {topic}"
-    if len(stamps) < _MIN_SAMPLES:
+    if len(stamps) < FEWEST:
         raise RecordingError(f"{where} holds {len(stamps)} angular velocities; leave --imu out, or record it longer")
     if not rates.any():
         raise RecordingError(f"{where}: all angular velocities are zero: it contains no gyro; leave --imu out")
@@ -182,7 +180,7 @@ def yaw_gyro(gyro: Gyro, odometry: Samples) -> YawGyro:
     found = YawGyro(gyro.place, gyro.topic, stamps, rate - bias, "", ())
     source = _heading_source(found, odometry, still)
     notes = [_axis_words(axis), f"its bias is {np.degrees(bias):.3f} deg/s, {how}"]
-    if abs(lag_s) > _REPORTED_LAG_S:
+    if abs(lag_s) > REPORTED_LAG_S:
         word = "late" if lag_s > 0.0 else "early"
         notes.append(f"stamped {abs(lag_s):.3f} s {word} against the odometry's turns; taken out")
     notes.append(_SOURCES[source])
@@ -253,7 +251,7 @@ def _lagged(own_s: Array, angles: Array, grid: Array, turned: Array) -> tuple[fl
 
     def fit_at(lag: float) -> tuple[float, Array]:
         rates = np.stack([_rate_on(own_s - lag, angles[:, i], grid) for i in range(3)], axis=1)
-        rates -= np.median(rates[resting], axis=0) if resting.sum() > _MIN_SAMPLES else 0.0
+        rates -= np.median(rates[resting], axis=0) if resting.sum() > FEWEST else 0.0
         square = rates.T @ rates
         # Regularised: an axis that hardly turns must not replace one that does.
         solution = np.linalg.solve(square + _RIDGE * np.trace(square) * np.eye(3), rates.T @ turned)
@@ -302,7 +300,7 @@ def _heading_source(gyro: YawGyro, odometry: Samples, still: NDArray[np.bool_]) 
     if abs(scale - 1.0) < 0.2 and alone < _MAX_JITTER * jitter:
         return "gyro"
     resting = rest[:-1] & rest[1:]
-    if np.count_nonzero(resting) > _MIN_SAMPLES:
+    if np.count_nonzero(resting) > FEWEST:
         own = np.abs(np.diff(heading)[resting])
         seen = np.abs(np.diff(theirs)[resting])
         if np.mean(own < _EXACT_RAD) > 0.9 and float(np.median(seen)) > _EXACT_RAD:

@@ -26,7 +26,7 @@ from odomcorrupt.laser.trajectory import (
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.first_look import check_alone
 from odomcorrupt.study.io.jumps import without_outliers
-from odomcorrupt.study.io.raw_trajectory import Samples, in_order
+from odomcorrupt.study.io.raw_trajectory import FEWEST, Samples, in_order
 from odomcorrupt.study.io.topic_selection import has_truth
 
 if TYPE_CHECKING:
@@ -44,7 +44,6 @@ NO_SCAN = "none"
 _LEAST_PART_S = 15.0
 _WEAK_SAID = 0.1
 _LAG_SAID_S = 0.02
-_FEWEST = 20
 _BLIND = 0.9
 _JITTER_SAID_S = 3e-3
 _COMPARED_M, _LEAST_TRAVEL = 0.5, 0.5
@@ -123,7 +122,7 @@ def match_run(odometry: Samples, sweeps: Sweeps, progress: Callable[[str, float]
     sweeps = calibration.sweeps
     tracked = make_map(sweeps, calibration, _part(progress, "matching scans", 0.0, 0.8))
     found = relocalised(calibration, tracked, _part(progress, "placing scans in the map", 0.8, 1.0))
-    if len(found) < _FEWEST:
+    if len(found) < FEWEST:
         raise RecordingError(
             f"{sweeps.place}: {len(found)} of {len(sweeps)} sweeps fit a map of the others; name another topic with "
             "--scan"
@@ -276,7 +275,7 @@ def _check_travel(path: LaserPath, motion: Motion, place: str) -> None:
     rows = rows[path.part[ahead[rows]] == path.part[rows]]
     travelled = np.linalg.norm(own[ahead[rows]] - own[rows], axis=1)
     rows, travelled = rows[travelled > 0.5 * _COMPARED_M], travelled[travelled > 0.5 * _COMPARED_M]
-    if len(rows) < _FEWEST:
+    if len(rows) < FEWEST:
         return
     seen = np.linalg.norm(path.xyt[ahead[rows], :2] - path.xyt[rows, :2], axis=1)
     ratio = float(np.median(seen / travelled))

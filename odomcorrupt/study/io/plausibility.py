@@ -15,7 +15,7 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.motion import slopes
-from odomcorrupt.study.io.raw_trajectory import CLOCK_S
+from odomcorrupt.study.io.raw_trajectory import CLOCK_S, FEWEST
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
@@ -152,7 +152,6 @@ def _correlation(a: Array, b: Array, count: int) -> Array:
 
 SHORTEST_S = 10.0
 """Minimum overlap of odometry and truth, seconds."""
-_MIN_POSES = 20
 _STILL_M, _STILL_RAD = 0.05, 0.1
 _MOVES_M, _FACTOR = 1.0, 300.0
 """Extent that is motion, and factor from which less is none, not another unit."""
@@ -167,10 +166,10 @@ def check_pair(odometry: Samples, truth: Samples) -> None:
     first, last = max(odometry.stamps_ns[0], truth.stamps_ns[0]), min(odometry.stamps_ns[-1], truth.stamps_ns[-1])
     both = [p.only((p.stamps_ns >= first) & (p.stamps_ns <= last)) for p in (odometry, truth)]
     for part, whole in zip(both, (odometry, truth), strict=True):
-        if len(part) < _MIN_POSES:
+        if len(part) < FEWEST:
             raise RecordingError(
                 f"{whole.place}: only {len(part)} of its {len(whole)} poses are in the common time of odometry and "
-                f"truth; {_MIN_POSES} and more are needed: record longer"
+                f"truth; {FEWEST} and more are needed: record longer"
             )
     _check_motion(*both)
 

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import Origin
 
-LEAST = 2
+FEWEST = 20
+"""Fewest poses, motions or angles of a source from which anything is learned."""
+REPORTED_LAG_S = 0.01
+"""Least lag of a gyro or of wheels against the odometry that is reported, seconds."""
 CLOCK_S = 3.0
 """Largest clock offset that a study can find, and largest lag at which motions are compared for it, seconds."""
 
@@ -118,7 +121,7 @@ class Samples:
 
     def trajectory(self) -> Trajectory:
         """Return stamps, x, y and unwrapped headings; the stamps must increase."""
-        if len(self) < LEAST:
+        if len(self) < 2:
             raise RecordingError(f"{self.place} holds {len(self)} usable poses; many more are needed")
         yaw = np.unwrap(self.yaw_rad) if self.headed else self.yaw_rad
         xyt = np.concatenate((self.xyz[:, :2], yaw[:, None]), axis=1)

@@ -19,7 +19,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
 from odomcorrupt.input_files import open_input
 from odomcorrupt.laser.calibrate import hand_eye
-from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.raw_trajectory import FEWEST, Samples
 from odomcorrupt.study.io.segments import MIN_HEADED_S
 from odomcorrupt.study.io.text import guess_tick, read_lines, split_line, whole_rows
 
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 _TIMES = (("t0", "t1"), ("t1", "t2"), ("start", "end"), ("from", "to"), ("start_s", "end_s"), ("t0_s", "t1_s"))
 _YAWS = ("dyaw", "dtheta", "dth", "dpsi")
 _COVARIANCE = ("xx", "xy", "xyaw", "yy", "yyaw", "yawyaw")
-_MIN_MOTIONS = 20
 _MAX_LINES = 5_000_000
 _JOINED = 0.02
 """Motions join if the time between them is at most this fraction of the shorter one."""
@@ -86,8 +85,8 @@ def read_motions(path: Path) -> Motions:
             raise RecordingError(f"{place}: is empty; its first line names t0,t1,dx,dy,dyaw")
         layout = _layout(header.cells, place)
         table = list(itertools.islice(whole_rows(rows, len(header.cells), notes), _MAX_LINES))
-    if len(table) < _MIN_MOTIONS:
-        raise RecordingError(f"{place}: holds {len(table)} relative motions; {_MIN_MOTIONS} and more are needed")
+    if len(table) < FEWEST:
+        raise RecordingError(f"{place}: holds {len(table)} relative motions; {FEWEST} and more are needed")
     tick = guess_tick([row.number(layout.times[0]) for row in table[:1000]])
     start, end = (np.array([row.nanoseconds(at, tick) for row in table]) for at in layout.times)
     values = np.array([[row.number(at) for at in (*layout.motion, *layout.covariance)] for row in table])
@@ -224,7 +223,7 @@ def _on_robot(motions: Motions, odometry: Samples) -> _OnRobot:
     end: Array = (motions.end_ns - origin).astype(np.float64) * 1e-9
     last = float(odometry.stamps_ns[-1] - origin) * 1e-9
     inside = np.flatnonzero((start >= 0.0) & (end <= last) & (end > start))
-    if len(inside) < _MIN_MOTIONS:
+    if len(inside) < FEWEST:
         raise RecordingError(
             f"{motions.place}: {len(inside)} of {len(start)} motions lie in the time of {odometry.name}: give their "
             "times on the odometry's clock (--truth-shift moves them)"

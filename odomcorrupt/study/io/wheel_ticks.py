@@ -17,7 +17,7 @@ from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.motion import step_of
 from odomcorrupt.geometry.se2 import Increments, accumulate, increments
-from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.raw_trajectory import FEWEST, REPORTED_LAG_S, Samples
 from odomcorrupt.study.io.topic_selection import near
 
 if TYPE_CHECKING:
@@ -29,12 +29,10 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 JOINTS = "sensor_msgs/msg/JointState"
-_MIN_SAMPLES = 50
 _SPACING_S = 0.2
 _LAGS_S = np.arange(-0.2, 0.2001, 0.02)
 _MAX_RESIDUAL = 0.03  # largest relative residual of the regression
 _RADII_M, _TRACKS_M = (5e-3, 2.0), (0.02, 10.0)  # plausible ranges
-_REPORTED_LAG_S = 0.01  # shorter lags are not reported
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +103,7 @@ def read_wheels(path: Path, place: str, joints: tuple[str, str] | None) -> Wheel
     good = np.isfinite(angle).all(axis=1)
     _, index = np.unique(stamps[good], return_index=True)
     stamps, angle = stamps[good][index], angle[good][index]
-    if len(stamps) < _MIN_SAMPLES:
+    if len(stamps) < FEWEST:
         if joints is None:
             return None
         raise RecordingError(
@@ -160,7 +158,7 @@ def wheels_of(angles: WheelAngles, odometry: Samples) -> Wheels:
             f"{names}: angles come in counts of {tick:.4g} rad ({2 * np.pi / tick:.0f} a turn, "
             f"{1e3 * tick * radius:.2g} mm)"
         )
-    if abs(lag_s) > _REPORTED_LAG_S:
+    if abs(lag_s) > REPORTED_LAG_S:
         notes.append(
             f"odometry is stamped {abs(lag_s):.2f} s {'after' if lag_s > 0.0 else 'before'} the wheels' angles"
         )
