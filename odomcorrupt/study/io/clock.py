@@ -57,7 +57,7 @@ def led(free: Array, leaders: Sequence[int]) -> Array:
 
 
 def coarse_clock(recording: Recording) -> Clock:
-    """Return initial clock values, accurate to some hundredths of a second, from matched speeds and yaw rates.
+    """Return initial clock values, accurate to about 0.05 s, from matched speeds and yaw rates.
 
     Parts of the run are matched separately at lags within +- 3 s; a Theil-Sen line fits their lags.
     """
@@ -77,7 +77,8 @@ def coarse_clock(recording: Recording) -> Clock:
             before, here, after = found.both[best - 1 : best + 2].tolist()
             within = 0.5 * (after - before) / (2.0 * here - before - after)  # vertex of a parabola
             times.append((begin_s + end_s) / 2.0)
-            lags.append(float(np.interp(best + within, np.arange(len(found.lag_s)), found.lag_s)))
+            lag_s = float(np.interp(best + within, np.arange(len(found.lag_s)), found.lag_s))
+            lags.append(round(20.0 * lag_s) / 20.0)  # to 0.05 s: a smaller offset would cost the ends of a short drive
     if not times:
         return Clock()
     if len(times) < 4:
