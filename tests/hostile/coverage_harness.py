@@ -20,8 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 INSTRUMENTED = [
     "odomcorrupt.bags", "odomcorrupt.batching.manifest", "odomcorrupt.model.model_file",
     "odomcorrupt.effects.expression",
-    "odomcorrupt.mapping.occupancy_grid", "odomcorrupt.study.io.text", "odomcorrupt.study.io.columns",
-    "odomcorrupt.study.io.text", "odomcorrupt.inspection",
+    "odomcorrupt.mapping.occupancy_grid", "odomcorrupt.study.io.text", "odomcorrupt.inspection",
 ]  # fmt: skip
 """What reads, or tells of what was read; to count the branches of the rest would only take time."""
 

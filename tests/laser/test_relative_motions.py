@@ -58,7 +58,7 @@ def test_each_motion_has_an_error_of_its_own_and_a_turned_sensor_is_found(tmp_pa
     ("text", "words"),
     [
         ("a,b,c\n1,2,3\n", "it takes t0,t1,dx,dy,dyaw"),
-        ("t0,t1,dx,dy,dyaw\n" + "0,1,0,0,zero\n" * 30, "does not hold the numbers"),
+        ("t0,t1,dx,dy,dyaw\n" + "0,1,0,0,zero\n" * 30, "is not a number"),
         ("t0,t1,dx,dy,dyaw\n0,1,0,0,0\n", "20 and more"),
         ("t0,t1,dx,dy,dyaw,xx,xy\n" + "0,1,0,0,0,1,0\n" * 30, "covariance without xyaw"),
         ("t0,t1,dx,dy,dyaw\n" + "0,1,0,0,nan\n" * 30, "not finite"),

@@ -16,7 +16,7 @@ from odomcorrupt.report.diagnosis import advice_sentences
 from odomcorrupt.simulation import Commands, read_commands, simulate
 from odomcorrupt.study.design.advise import advise
 from odomcorrupt.study.design.ambiguities import open_ambiguities
-from odomcorrupt.study.design.drives import excitation, missing_excitations, most_useful
+from odomcorrupt.study.design.drives import missing_excitations, most_useful
 from odomcorrupt.study.design.identifiability import untried
 from odomcorrupt.study.design.information import planned_field, recorded_field, separation
 from odomcorrupt.study.design.manoeuvres import MANOEUVRES, Limits
@@ -113,14 +113,14 @@ def test_commands_come_back_from_the_bag_as_they_were_planned(tmp_path):
     ],
 )
 def test_what_a_drive_never_did_is_reported(v, omega, there, not_there):
-    said = [why for why, _ in missing_excitations(excitation([ideal_motion(steady(v, omega))]))]
+    said = [why for why, _ in missing_excitations([ideal_motion(steady(v, omega))])]
     assert set(there) <= set(said)
     assert not set(not_there) & set(said)
 
 
 def test_a_mixed_drive_lacks_nothing():
     plan = plan_of(next(m for m in MANOEUVRES if m.name == "everything"), Limits(0.8, 0.8), 600.0)
-    assert missing_excitations(excitation([ideal_motion(plan)])) == []
+    assert missing_excitations([ideal_motion(plan)]) == []
 
 
 def ideal_motion(route):
@@ -254,7 +254,7 @@ def twin_hint(name, values, monkeypatch):
         candidates=(SimpleNamespace(score=SimpleNamespace(effect=effect), fitted=None, refused=""),),
     )
     monkeypatch.setattr("odomcorrupt.study.design.ambiguities._equivalents", lambda *_: [])
-    choices, _ = open_ambiguities(SimpleNamespace(learned=learned(effect)), look)
+    choices = open_ambiguities(SimpleNamespace(learned=learned(effect)), look)
     return next(choice.hint for choice in choices if name in choice.names)
 
 

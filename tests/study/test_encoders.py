@@ -17,8 +17,7 @@ from odomcorrupt.model.motion_model import Noise, Step
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost, speeds_in_steps, tick_of
-from odomcorrupt.study.io.message_rate import thinned
+from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost, speeds_in_steps, thinned, tick_of
 from odomcorrupt.study.io.recording import Recording
 from odomcorrupt.study.select.candidates import score_terms
 from odomcorrupt.study.select.decisions import DECISIONS

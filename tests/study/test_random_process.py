@@ -25,7 +25,7 @@ from odomcorrupt.study.estimate.windows import distance_windows
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.random_effects import random_coefficients
 from odomcorrupt.study.select.selection import learn
-from odomcorrupt.study.validate.process_windows import process_roots, random_covariance
+from odomcorrupt.study.validate.evaluation import process_roots, random_covariance
 
 RANDOM = (
     effect_from_values("gauss_markov", {"sigma": 0.05, "tau": 8.0}),
