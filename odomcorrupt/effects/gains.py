@@ -95,18 +95,20 @@ TurnAsymmetry = gain(
 ScaleDrift = gain(
     "scale_drift",
     "the scale of distance and turn changes with time",
-    lambda it, m: scaled(m, it.rate * m.t_s, it.heading),
+    lambda it, m: scaled(m, it.rate * (it.settle * -np.expm1(-m.t_s / it.settle) if it.settle else m.t_s), it.heading),
     About(
-        equation="f = rate t (v, vy, omega); rate t (v, vy, 0) with a gyro",
+        equation="f = rate t (v, vy, omega); rate t (v, vy, 0) with a gyro; t may settle, as 1 - exp(-t / settle)",
         typical="1 to 2 % over a long drive with a leaking tyre; 0.3 % per 10 K of tyre temperature (an estimate)",
         source="the idea: time-varying radii in Kuemmerle, Grisetti & Burgard 2011; sizes are engineering judgement",
         confused_with=("wheel_scale", "region_slip", "clock_skew"),
         drive="repeat one loop for half an hour and more",
     ),
     odd=True,
-    rate=parameter("1/s", "growth of the true radius per second", low=-1e-3, high=1e-3, typical=1e-5),
+    rate=parameter("1/s", "growth of the true radius per second, at first", low=-1e-3, high=1e-3, typical=1e-5),
+    settle=parameter("s", "time in which it settles, as tyres warm up; 0: never", low=0.0, high=3600.0, typical=200.0,
+                     amplitude=False, optional=True, trials=(0.0, 60.0, 150.0, 400.0)),
     heading=heading_choice(),
-)
+)  # fmt: skip
 
 # a motor's speed is proportional to the voltage
 BatterySag = gain(
@@ -121,16 +123,10 @@ BatterySag = gain(
         drive="repeat one loop for ten minutes and more; a full battery put in at half time separates it from a tyre",
     ),
     aliased_with="scale_drift",
-    rate=parameter(
-        "1/s",
-        "change of the reached fraction of the commanded speed, per second",
-        low=-1e-3,
-        high=0.0,
-        typical=-1e-4,
-        step=1e-7,
-    ),
+    rate=parameter("1/s", "change of the reached fraction of the commanded speed, per second", low=-1e-3, high=0.0,
+                   typical=-1e-4, step=1e-7),
     heading=heading_choice(),
-)
+)  # fmt: skip
 
 SideSlip = gain(
     "side_slip",

@@ -56,14 +56,9 @@ class RegionSlip(Effect):
     x: float = parameter("m", "centre", low=-1e8, high=1e8, typical=1.0, amplitude=False)
     y: float = parameter("m", "centre", low=-1e8, high=1e8, typical=1.0, amplitude=False)
     radius: float = parameter(
-        "m",
-        "of the disc; of a rectangle, half its length",
-        low=0.05,
-        high=1e3,
-        typical=1.0,
-        identity=1.0,
+        "m", "of the disc; of a rectangle, half its length", low=0.05, high=1e3, typical=1.0, identity=1.0,
         amplitude=False,
-    )
+    )  # fmt: skip
     width: float = parameter(
         "m", "half the width of a rectangle; 0: a disc", low=0.0, high=1e3, typical=1.0, amplitude=False, optional=True
     )

@@ -45,6 +45,23 @@ GyroBias = gain(
     bias=parameter("rad/s", "odometry yaw rate minus the true one", low=-0.5, high=0.5, typical=0.003),
 )
 
+GyroWarmUp = gain(
+    "gyro_warm_up",
+    "the yaw rate has an offset that settles while the gyro warms up",
+    lambda it, m: (0.0, 0.0, it.bias * np.expm1(-m.t_s / it.settle)),
+    About(
+        equation="f_yaw = -bias (1 - exp(-t / settle)), t since the first odometry stamp",
+        typical="0.01 to 0.5 deg/s, in one to ten minutes after switching on",
+        source="Aggarwal, Syed, Niu & El-Sheimy 2008, J. Navigation 61 (bias over temperature); form: a judgement",
+        confused_with=("gyro_bias_walk", "gyro_bias", "scale_drift"),
+        drive="stand still for ten minutes after switching on, and once more when warm",
+    ),
+    needs_gyro=True,
+    bias=parameter("rad/s", "odometry yaw rate minus the true one, when warm", low=-0.5, high=0.5, typical=0.003),
+    settle=parameter("s", "time constant", low=10.0, high=3600.0, typical=200.0, identity=200.0, amplitude=False,
+                     trials=(50.0, 150.0, 500.0)),
+)  # fmt: skip
+
 GyroScale = gain(
     "gyro_scale",
     "the yaw rate has a wrong gain",

@@ -260,14 +260,9 @@ class SlipBurst(Effect):
 
     rate: float = parameter("1/s", "how many begin per second", low=0.0, high=5.0, typical=0.05)
     slip: float = parameter(
-        "",
-        "mean part of the wheel's travel that is lost",
-        low=0.0,
-        high=_MOST_SLIP,
-        typical=0.4,
-        identity=0.4,
+        "", "mean part of the wheel's travel that is lost", low=0.0, high=_MOST_SLIP, typical=0.4, identity=0.4,
         amplitude=False,
-    )
+    )  # fmt: skip
     duration: float = parameter(
         "s", "how long one lasts", low=0.01, high=10.0, typical=0.3, identity=0.3, amplitude=False
     )

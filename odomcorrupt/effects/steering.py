@@ -397,13 +397,9 @@ class SteeringPlay(Effect):
     )
 
     play: float = parameter(
-        "rad/m",
-        "range of the odometry's steering angle that moves nothing, per distance between the axles",
-        low=0.0,
-        high=1.0,
-        typical=0.05,
-        step=0.02,
-    )
+        "rad/m", "range of the odometry's steering angle that moves nothing, per distance between the axles", low=0.0,
+        high=1.0, typical=0.05, step=0.02,
+    )  # fmt: skip
     axles: float = axles_parameter()
 
     @classmethod

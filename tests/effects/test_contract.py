@@ -201,7 +201,7 @@ def test_no_other_two_effects_of_a_drive_type_have_the_same_regressor(drive_type
 
 STEERING = ("steering_offset", "steering_play", "steering_scale", "flat_spot")
 SHAPED = [n for n, k in KINDS.items() if any(not p.amplitude and not p.optional for p in parameters(k))]
-SHAPED.append("hard_iron")  # its filter is optional, and tried
+SHAPED += ["hard_iron", "scale_drift"]  # a filter and a time of settling are optional, and tried
 SHAPED.remove("flat_spot")  # its circumference is a line of a spectrum
 
 

@@ -63,7 +63,7 @@ if TYPE_CHECKING:
 
 _ROUNDS, _TRIES = 5, 3
 """Largest number of rounds, and of sets that are refitted in a round."""
-_OF_TIME = ("scale_drift",)
+_OF_TIME = ("scale_drift", "gyro_warm_up")
 """Effects that are a course over time, as that of a random process may be by chance."""
 _SEVERAL = 3
 """Number of terms from which on a random process may be simpler."""
