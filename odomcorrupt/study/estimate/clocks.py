@@ -17,7 +17,6 @@ from odomcorrupt.study.estimate.gauss_newton import Fit, fit, fit_problem, prior
 from odomcorrupt.study.estimate.problem import pose_problem, undo
 from odomcorrupt.study.estimate.windows import phased_rmse, ten_second_error
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders, coarse_clock
-from odomcorrupt.study.io.first_look import factors_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -113,6 +112,7 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
 
     An offset or rate that is not significant is left at zero: correcting an aligned clock only adds noise.
     """
+    recordings = [recording.multiplied(*recording.gains) for recording in recordings]
     leaders = clock_leaders(recordings)
     together = {i: [r for r, leader in zip(recordings, leaders, strict=True) if leader == i] for i in set(leaders)}
     found = {i: _clock_or_reason(runs, approach) for i, runs in together.items()}
@@ -223,10 +223,8 @@ def _rivals(*, wheels: bool, steered: bool) -> list[Effect]:
 
 def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
     """Return the common clock of runs: offset and rate if significant, else the offset alone, else no clock."""
-    kinds = registry()
     rivals = _rivals(wheels=runs[0].track_m is not None, steered=drive_type_of(runs).steered)
-    known = {effect.name: effect for effect in factors_of(runs)}
-    nuisance: Sequence[Effect] = [known.get(name, kinds[name]()) for name in nuisance_of(runs)]
+    nuisance: Sequence[Effect] = [registry()[name]() for name in nuisance_of(runs)]
     clock = coarse_clock(max(runs, key=lambda run: len(run.odometry)))
     noise, alone = None, None
     for free in ((True, True), (True, False)):

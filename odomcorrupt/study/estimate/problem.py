@@ -21,6 +21,7 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.study.estimate.intervals import Intervals, intervals_of, join
 from odomcorrupt.study.estimate.regressors import MotionSmoother, drives_sideways
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders
+from odomcorrupt.study.io.first_look import factors_of
 from odomcorrupt.study.io.headings import with_recomputed_headings
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ def undo(recording: Recording, effects: Sequence[Effect], *, smoother: MotionSmo
     if not effects:
         return recording
     left = recording
+    gains = (1.0, 1.0) if {f.name for f in factors_of([recording])} & {e.name for e in effects} else recording.gains
     reading = any(effect.reads_truth for effect in effects)
     if reading and smoother is None:
         smoother = MotionSmoother([recording], "odometry")
@@ -64,7 +66,7 @@ def undo(recording: Recording, effects: Sequence[Effect], *, smoother: MotionSmo
                 twist += error_of(effect, motion)
         twist = followed([e for e in effects if _follows(e)], motion, twist)
         xyt = accumulate(recording.odometry.xyt[0], Increments.of_rows(twist * motion.dt_s[:, None]))
-        left = replace(recording, odometry=Trajectory(recording.odometry.stamps_ns, xyt))
+        left = replace(recording, odometry=Trajectory(recording.odometry.stamps_ns, xyt), gains=gains)
     return left
 
 
@@ -161,7 +163,12 @@ def pose_problem(
     seen = [smoother.recorded for smoother in smoothers]
     if approach.side == "truth":
         seen = [_robots(motion, [e for e in effects if _follows(e)]) for motion in seen]
-    whole = [_undone(smoother, effects, approach.side) for smoother in smoothers]
+        # effects read the speeds that the odometry reports
+        gains = [smoother.recording.gains for smoother in smoothers]
+        seen = [replace(m, v=m.v / g, vy=m.vy / g, omega=m.omega / h) for m, (g, h) in zip(seen, gains, strict=True)]
+    reading = approach.side != "odometry" and any(effect.reads_truth for effect in effects)
+    smooth = [MotionSmoother(one.stretches, "odometry", one) if reading else one for one in smoothers]
+    whole = [undo(one.recording, effects, smoother=one) for one in smooth]
     left = [with_recomputed_headings(one) for one in _left(recordings, clocks, smoothers, whole)]
     intervals = [intervals_of(recording, approach.spacing_s) for recording in left]
     if approach.side == "odometry" and effects:
@@ -222,13 +229,6 @@ def _one_run(one: Recording, other: Recording) -> bool:
     shared = min(len(one.odometry), len(other.odometry))
     a, b = one.odometry, other.odometry
     return np.array_equal(a.stamps_ns[:shared], b.stamps_ns[:shared]) and np.array_equal(a.xyt[:shared], b.xyt[:shared])
-
-
-def _undone(smoother: MotionSmoother, effects: Sequence[Effect], side: Side) -> Recording:
-    """Return a run with the effects removed from its odometry."""
-    if side != "odometry" and any(effect.reads_truth for effect in effects):
-        smoother = MotionSmoother(smoother.stretches, "odometry", smoother)
-    return undo(smoother.recording, effects, smoother=smoother)
 
 
 def _left(

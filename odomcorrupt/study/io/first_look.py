@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.study.io.raw_trajectory import Samples
     from odomcorrupt.study.io.recording import Recording
 
@@ -246,6 +245,8 @@ class Look:
     @cached_property
     def hand(self) -> float:
         """Correlation of the positions across the main axes of 64 windows each: 1 as they are, -1 if mirrored."""
+        if not 1.0 / _WRONG < abs(self.ratio(2).value) < _WRONG:
+            return 0.0  # turns of other sizes make paths of other shapes
         origin = int(self.paths[0].stamps_ns[0])
         both = zip(self.paths, self.windows[2], strict=True)
         own, real = (np.interp(at, p.seconds_since(origin), p.xyz[:, 0] + 1j * p.xyz[:, 1]) for p, at in both)
@@ -480,14 +481,6 @@ def _noise_of_steps(steps_m: Array) -> float:
     return float(np.median(rough)) / np.sqrt(20.0) if len(rough) else 0.0
 
 
-def multiplied(path: Trajectory, travel: float, turn: float) -> Trajectory:
-    """Return a trajectory whose travel and turns are multiplied by two factors."""
-    if travel == turn == 1.0:
-        return path
-    rows = increments(path.xyt).rows * [travel, travel, turn]
-    return replace(path, xyt=accumulate(path.xyt[0], Increments.of_rows(rows)))
-
-
 def factors_of(recordings: Sequence[Recording]) -> tuple[Effect, ...]:
     """Return the effects that multiply an odometry's travel and turns as plain mistakes require, none if they do not.
 
@@ -516,9 +509,8 @@ def _by(matrix: Array) -> Callable[[Samples], Samples]:
 
 
 def _speed(look: Look, i: int) -> Figures | None:
-    speeds = look.own[i].speed_mps, look.own[1].speed_mps
-    undo = lambda path: replace(path, xyz=path.xyz * 1e-3)  # noqa: E731
-    return {"i": i, "speed": speeds[0], "undo": undo} if min(speeds) > _FAST_MPS else None
+    own, real = look.own[i].speed_mps, look.own[1].speed_mps
+    return {"i": i, "speed": own, "undo": lambda p: replace(p, xyz=p.xyz / 1e3)} if min(own, real) > _FAST_MPS else None
 
 
 def _mirrored_headings(look: Look, i: int) -> Figures | None:
@@ -528,7 +520,7 @@ def _mirrored_headings(look: Look, i: int) -> Figures | None:
     doubts = [(1.0 - own.agreement[0]) / (1.001 - own.agreement[1]) if own.chords else 0.0 for own in look.own]
     doubt, other = doubts[i], doubts[1 - i]
     alone = own.agreement[1] > _FOLLOWS and (own.agreement[0] < _CLEAR or doubt > 4.0 > 4.0 * other)
-    if own.chords < _FEWEST or not (alone or (look.hand * turn < -_UNCLEAR and doubt > other)):
+    if own.chords < _FEWEST or not (alone or (look.hand * turn < -_UNCLEAR and doubt > max(other, 0.25))):
         return None
     axis = 1.0 if turn < 0.0 or look.hand > _UNCLEAR else -1.0
     undo = lambda path: replace(path, xyz=path.xyz * [1.0, axis, 1.0], yaw_rad=-axis * path.yaw_rad)  # noqa: E731
@@ -559,7 +551,8 @@ def _unrelated(look: Look, i: int) -> Figures | None:
     """Find headings that follow neither their own path nor the other trajectory."""
     (own, other), (path, beside) = (look.own, look.paths) if i == 0 else (look.own[::-1], look.paths[::-1])
     undo = {"undo": lambda path: path.without_headings()} if i else {}
-    if path.headed and beside.headed and np.ptp(path.yaw_rad) < 1e-6 and np.ptp(np.unwrap(beside.yaw_rad)) > 0.5:
+    turns = np.ptp(np.unwrap(beside.yaw_rad)) > 0.5 if beside.headed else own.agreement[0] < _CLEAR
+    if path.headed and np.ptp(path.yaw_rad) < 1e-6 and turns:
         return {"i": i, "what": "never change", **undo}
     few = min(own.chords, other.chords) < 3 * _FEWEST
     if few or max(own.agreement) > _CLEAR or other.agreement[0] < _FOLLOWS or abs(look.correlations[2, 2]) > _UNCLEAR:
@@ -637,17 +630,16 @@ def _exchanged(look: Look) -> Figures | None:
     if fault is not None:
         words = f"{source} turns as {look.paths[1 - fault].name} does, so {look.paths[fault].name} is wrong"
     undo = lambda path: replace(path, xyz=path.xyz * [1.0, -1.0, 1.0], yaw_rad=-path.yaw_rad)  # noqa: E731
-    return {"i": fault or 0, "corr": max(corr, -1.0), "fault": words, "undo": undo}
+    turned = _by(np.diag((1.0, 1.0, -1.0)))  # where sideways they agree
+    return {"i": fault or 0, "corr": max(corr, -1.0), "fault": words, "undo": turned if c[1, 1] > _CLEAR else undo}
 
 
 def _overflows(look: Look, i: int) -> Figures | None:
     """Find steps of odometry that are far longer than usual and of about equal length."""
-    if i:
-        return None
     rows = increments(look.paths[0].trajectory().xyt).rows
     size = np.hypot(rows[:, 0], rows[:, 1])
     at = np.flatnonzero(size > 10.0 * np.percentile(size[size > 0.0], 90.0)) if size.any() else np.zeros(0, int)
-    if not 1 < len(at) < 0.05 * len(rows):
+    if i or not 1 < len(at) < 0.05 * len(rows):
         return None
     before = np.maximum(at - 1, 0)
     wheel_m = 2.0 * float(np.median(size[at] + size[before]))  # the wheel goes on meanwhile
@@ -667,7 +659,8 @@ def _overflows(look: Look, i: int) -> Figures | None:
 def _one_way(look: Look, axis: int) -> Figures | None:
     """Find motions of the truth to a side of zero on which the odometry's motion along an axis never is."""
     here, there, _ = look.windows
-    straight = ~_moving(there[:, 2]) if axis == 0 else np.ones(len(here), dtype=bool)
+    # a tracked point beside the centre goes back in turns on the spot
+    straight = np.abs(there[:, 0]) > 0.5 * np.abs(there[:, 2]) if axis == 0 else np.ones(len(here), dtype=bool)
     for side in (-1, 1) if look.paths[1].headed else ():
         real, counted = _moving(there[:, axis], side) & straight, _moving(here[:, axis], side)
         if not real.any() or real.sum() < max(0.01 * len(real), 10.0 * counted.sum()):
@@ -685,22 +678,23 @@ def _truth_unit(look: Look) -> Figures | None:
     unit = next((name for name, per_m in UNITS.items() if look.travel.sure and abs(k / per_m - 1.0) < 0.1), None)
     if unit is None or speeds[1] < _ROBOT_MPS or speeds[0] > _ROBOT_MPS:
         return None
-    undo = lambda path: replace(path, xyz=path.xyz / UNITS[unit])  # noqa: E731
-    return {"i": 1, "far": k, "unit": unit, "speed": speeds[1], "undo": undo}
+    return {"i": 1, "far": k, "unit": unit, "speed": speeds[1], "undo": lambda p: replace(p, xyz=p.xyz / UNITS[unit])}
 
 
 def _ratios(look: Look, travel: bool, turn: bool, *, alike: bool = False) -> Figures | None:  # noqa: FBT001
     """Find which of travel and turns are plainly wrong, by the same factor or not."""
     v, w = look.travel, look.turn
     wrong = v.beyond(_WRONG)
-    same = v.sure and w.sure and abs(v.value / w.value - 1.0) < _ALIKE
-    if (wrong, w.beyond(_WRONG, _WRONG if wrong else _SKIDS)) != (travel, turn) or same is not alike:
+    # chords of positions smooth turns; travel is no factor while turns are others
+    same = v.sure and w.sure and abs(v.value / w.value - 1.0) < (_ALIKE if look.paths[1].headed else 4.0 * _ALIKE)
+    sure = w.sure or all(np.percentile(np.abs(x[:, 2]), 90.0) < _MOVING for x in look.windows[:2])
+    if (wrong, w.beyond(_WRONG, _WRONG if wrong else _SKIDS)) != (travel, turn) or same is not alike or not sure:
         return None
     gains = v.value if travel else 1.0, v.value if alike else w.value if turn else 1.0
     sides = [look.ratio(2, side=side) for side in (1, -1)]
     large = [max(k, 1.0 / k) for k in gains]
     far = [f"{x:.3g} times {'less than' if k > 1.0 else 'as far as'}" for x, k in zip(large, gains, strict=True)]
-    hints = [said for near, said in _HINTS.items() if any(abs(x / near - 1.0) < _ALIKE for x in large)]
+    hints = [said for near, said in _HINTS.items() if abs(np.log(large[not travel] / near)) < 1.5 * _ALIKE]
     beside = ", left and right alike" if all(s.sure for s in sides) else ""
     if beside and abs(sides[0].value / sides[1].value - 1.0) > 2.0 * _ALIKE:
         beside = f", left {sides[0].value:.3g} and right {sides[1].value:.3g} times"

@@ -14,7 +14,7 @@ from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.trajectory import resolution_s
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.feedback import feedback_of
-from odomcorrupt.study.io.first_look import Look, Witness, check_alone, first_look, multiplied
+from odomcorrupt.study.io.first_look import Look, Witness, check_alone, first_look
 from odomcorrupt.study.io.fixes import without_float_episodes
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
 from odomcorrupt.study.io.jumps import without_excursions, without_outliers
@@ -377,9 +377,8 @@ def recordings_of(
     return [
         spaced_by_motion(
             replace(
-                r,
+                r.multiplied(*(1.0 / gain for gain in found.gains)),
                 notes=(opening, *r.notes, *said),
-                odometry=multiplied(r.odometry, *(1.0 / gain for gain in found.gains)),
                 mistakes=found.mistakes,
                 gains=found.gains,
                 ratios=found.ratios,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.drive_types import AUTO
-from odomcorrupt.geometry.se2 import increments
+from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -134,6 +134,14 @@ class Recording:
     def with_odometry(self, odometry: Trajectory) -> Recording:
         """Return the recording with its odometry processed, and the content as read."""
         return replace(self, odometry=odometry, sketch=content_of(self))
+
+    def multiplied(self, travel: float, turn: float) -> Recording:
+        """Return the recording with the odometry's travel and turns multiplied by two factors; by its gains: undone."""
+        if travel == turn == 1.0:
+            return self
+        rows = increments(self.odometry.xyt).rows * [travel, travel, turn]
+        odometry = replace(self.odometry, xyt=accumulate(self.odometry.xyt[0], Increments.of_rows(rows)))
+        return replace(self.with_odometry(odometry), gains=(self.gains[0] / travel, self.gains[1] / turn))
 
     @property
     def matched(self) -> bool:
