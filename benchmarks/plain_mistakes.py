@@ -150,7 +150,7 @@ def plant(seed: int, seconds: float = 100.0) -> Case:  # noqa: C901, PLR0912, PL
         flipped = rng.choice([-1.0, 1.0])
         ahead, turned = own[:, 0], own[:, 2] * robot.track_m / 2.0
         own = np.column_stack((flipped * turned, 0.0 * ahead, flipped * ahead * 2.0 / robot.track_m))
-        right = ("one encoder reversed",)
+        right = ("wheel gains",)
     elif what == "no direction":
         arm = own[:, 2] * robot.track_m / 2.0
         left, rightw = np.abs(own[:, 0] - arm), np.abs(own[:, 0] + arm)

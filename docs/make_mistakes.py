@@ -20,8 +20,9 @@ What is wrong is the first line, with its figures:
     change   `wheel_separation` x 10; the model has the factor, and is of this odometry as it is
 
 Mend it and record again. Meanwhile signs, axes and units are undone and the study goes on with the rest; factors are
-parts of the model, however large, so that `correct` undoes them in these bags. Where nothing can be learned, the
-command ends with that line and exit code 1. `info` names the rows marked (alone) without a truth.
+parts of the model, however large, so that `correct` undoes them in these bags (of single wheels they are undone). Where
+nothing can be learned, the command ends with that line and exit code 1. `info` names the rows marked (alone) without a
+truth.
 
 Of odometry and truth the one is wrong that contradicts itself, or else the one that a gyro in the bag contradicts (its
 z axis up), or the odometry if its own wheel joints do. If nothing decides, both are named.
@@ -37,12 +38,17 @@ FIGURES = {
     "side": "left", "best": 0.9, "near": 0.1, "shift": 12.0, "corr": -1,
     "fault": "whether the odometry or the truth is wrong, these data do not show", "share": "6%",
     "how": "drives forwards there", "far": 1000,
-    "travels": "3.3 times as far as", "turns": "10 times as far as", "hint": "", "v": 0.303, "inverse": 10,
-    "agree": "turns agree", "track": " (0.016 -> 0.16 m)", "sides": ", left and right alike", "truth": "",
+    "travels": "3.3 times as far as", "turns": "10 times as far as", "hint": "", "v": 0.303,
+    "rate": 0.5, "doubt": "", "lost": 60, "each": "left -1.00, right 1.00", "explained": "99.8%",
+    "cause": "a wheel counts the wrong way (its channels are exchanged), counts nothing, or by another factor",
+    "change": "negate the counts of that wheel, or multiply them", "then": "this is undone in the odometry",
+    "hint_turn": "", "separation": 10, "agree": "turns agree", "track": " (0.016 -> 0.16 m)",
+    "sides": ", left and right alike", "truth": "",
 }  # fmt: skip
 """Example of each figure."""
 OWN = {
     "plane": {"who": "/truth"}, "headings of the truth": {"who": "/truth"},
+    "clock rate": {"factor": 2.0}, "stands still": {"share": "50%"},
     "late clock": {"who": "/truth", "side": "behind"},
     "forward is y": {"side": "y"}, "never turns one way": {"side": "right"},
     "unit of the truth": {"who": "/truth", "other": "/odom", "unit": "millimetres"},

@@ -52,7 +52,7 @@ def test_an_effect_is_explained_in_eight_lines(name, capsys):
 )
 def test_a_result_has_eight_lines_all_of_it_nothing_or_values(words, label, capsys):
     # a list of names leaves none out
-    require_brief(lines_of(capsys, words), label, most=12 if words == ["effects"] else 8)
+    require_brief(lines_of(capsys, words), label, most=13 if words == ["effects"] else 8)
     assert max(map(len, lines_of(capsys, [*words, "-v"]))) > 0
     assert lines_of(capsys, [*words, "-q"]) == []
     assert json.loads("\n".join(lines_of(capsys, [*words, "--json"])))["schema"] == 2

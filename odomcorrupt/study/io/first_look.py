@@ -19,7 +19,7 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 from odomcorrupt.geometry.trajectory import distance_along
-from odomcorrupt.study.io.plausibility import cross_correlation
+from odomcorrupt.study.io.plausibility import check_pair, cross_correlation
 from odomcorrupt.study.io.raw_trajectory import CLOCK_S
 from odomcorrupt.study.io.recording import Mistake
 
@@ -46,6 +46,8 @@ _FOLLOWS = 0.9
 """Agreement of headings with the path for a reading that is right; a wrong one has less than `_CLEAR`."""
 _WRONG, _SKIDS = 1.3, 1.9
 """Factors from which travel and turns are plainly wrong; skid steering turns up to 1.9 times less than its wheels."""
+_FEW_TURNS = 0.1
+"""Usual turn in a window, rad, up to which turns are too few to compare."""
 _ALIKE = 0.06
 """Relative difference of two factors that are the same."""
 _FAST_MPS, _ROBOT_MPS = 60.0, 10.0
@@ -56,7 +58,7 @@ UNITS = {"feet": 1.0 / 0.3048, "inches": 1.0 / 0.0254, "centimetres": 100.0, "mi
 """Units of length that are confused with metres, per metre."""
 _HINTS = {
     2.0: "diameter for radius, or one edge of the encoder counted instead of two", 4.0: "quadrature counted once",
-    180.0 / np.pi: "degrees for radians", 2.0 * np.pi: "turns for radians",
+    180.0 / np.pi: "degrees for radians", 2.0 * np.pi: "turns for radians", 3.6: "km/h for m/s",
     **{per_m: f"{unit} for metres" for unit, per_m in UNITS.items()},
 }  # fmt: skip
 """Likely causes of factors near these or their inverses."""
@@ -226,7 +228,7 @@ class Look:
         return float(np.clip(4e-9 * max(float(np.median(np.diff(p.stamps_ns))) for p in self.paths), 1.0, 8.0))
 
     @cached_property
-    def windows(self) -> tuple[Array, Array, tuple[Array, Array]]:
+    def motions(self) -> tuple[Array, Array, tuple[Array, Array]]:
         """Motions (n, 3) of odometry and truth in windows, and their times in each, at the lag that fits best."""
         origin, window_s = int(self.paths[0].stamps_ns[0]), self.window_s
         one, other = (_travel(p, origin) for p in self.paths)
@@ -237,16 +239,22 @@ class Look:
         for lag_s in np.arange(-margin_s, margin_s, _GRID_S).tolist():
             c = _correlations(here, other.within(starts + lag_s, window_s))
             best = max(best, (float(np.sum(c[[0, 0, 2, 2], [0, 2, 0, 2]] ** 2)) - 1e-3 * abs(lag_s), lag_s))
-        there = other.within(starts + best[1], window_s)
-        if not self.paths[1].headed:
-            here, there = _by_speeds(here, there)
-        return here, there, (starts, starts + best[1])
+        return here, other.within(starts + best[1], window_s), (starts, starts + best[1])
+
+    @cached_property
+    def windows(self) -> tuple[Array, Array, tuple[Array, Array]]:
+        """The same, but beside positions alone speeds with the odometry's sign, and turns between long chords only."""
+        here, there, times = self.motions
+        return (here, there, times) if self.paths[1].headed else (*_by_speeds(here, there), times)
 
     @cached_property
     def hand(self) -> float:
-        """Correlation of the positions across the main axes of 64 windows each: 1 as they are, -1 if mirrored."""
+        """Correlation of the positions across the main axes of 64 windows each: 1 as they are, -1 if mirrored.
+
+        Paths with turns of other sizes have other shapes; of them it is 0.
+        """
         if not 1.0 / _WRONG < abs(self.ratio(2).value) < _WRONG:
-            return 0.0  # turns of other sizes make paths of other shapes
+            return 0.0
         origin = int(self.paths[0].stamps_ns[0])
         both = zip(self.paths, self.windows[2], strict=True)
         own, real = (np.interp(at, p.seconds_since(origin), p.xyz[:, 0] + 1j * p.xyz[:, 1]) for p, at in both)
@@ -291,6 +299,13 @@ class Look:
         return self.ratio(2) if self.correlations[2, 2] > _CLEAR else Ratio()
 
     @property
+    def turns(self) -> float:
+        """Usual turn of the odometry or the truth, the larger one, in windows in which one of them moves, rad."""
+        here, there, _ = self.windows
+        used = _moving(here[:, 0]) | _moving(there[:, 0])
+        return max(float(np.sqrt(np.mean(x[used, 2] ** 2))) if used.any() else 0.0 for x in (here, there))
+
+    @property
     def words(self) -> str:
         """Ratios of travel and turns in words, "" if they are not sure."""
         sure = [(what, r) for what, r in (("travels", self.travel), ("turns", self.turn)) if r.sure]
@@ -319,12 +334,18 @@ def _by_speeds(here: Array, there: Array) -> tuple[Array, Array]:
     sign = np.where(here[:, 0] < 0.0, -1.0, 1.0)
     for one in (here, there):
         one[:, 0], one[:, 1] = sign * np.hypot(one[:, 0], one[:, 1]), 0.0
-    steady = _moving(here[:, 0]) & _moving(there[:, 0]) & ahead
-    for k in range(1, 5):  # both neighbours that share no time with a window
-        steady[k:] &= (_moving(there[:, 0]) & ahead)[:-k]
-        steady[:-k] &= (_moving(there[:, 0]) & ahead)[k:]
+    steady = _moving(here[:, 0]) & _steady(_moving(there[:, 0]) & ahead)
     here[~steady, 2] = there[~steady, 2] = 0.0
     return here, there
+
+
+def _steady(moves: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return where windows (n,) and both neighbours that share no time with them move."""
+    steady = moves.copy()
+    for k in range(1, 5):
+        steady[k:] &= moves[:-k]
+        steady[:-k] &= moves[k:]
+    return steady
 
 
 def _moving(x: Array, side: int = 0) -> NDArray[np.bool_]:
@@ -344,6 +365,18 @@ def _correlations(a: Array, b: Array) -> Array:
         return np.asarray(x / np.where(size > 1e-9, size, np.inf))
 
     return np.asarray(scaled(a).T @ scaled(b) / max(len(a), 1))
+
+
+def _linear(x: Array, y: Array) -> tuple[Array, float]:
+    """Return the matrix (k, k) of y = M x for motions (n, k), outliers left out, and the least part explained."""
+    used = np.ones(len(x), dtype=bool)
+    least = 0.02 * np.percentile(np.abs(y), 95.0, axis=0)
+    for _ in range(5):
+        matrix = np.linalg.lstsq(x[used], y[used], rcond=None)[0].T
+        off = np.abs(y - x @ matrix.T)
+        used = (off <= 6.0 * np.maximum(np.median(off, axis=0), least)).all(axis=1)
+    explained = 1.0 - np.sum(off[used] ** 2, axis=0) / np.maximum(np.sum(y[used] ** 2, axis=0), 1e-12)
+    return np.asarray(matrix, dtype=np.float64), float(explained.min()) * float(used.mean() > _CLEAR)
 
 
 Figures: TypeAlias = dict[str, Any]
@@ -393,6 +426,8 @@ def first_look(look: Look) -> FirstLook:
     found: list[Mistake] = []
     gains = (1.0, 1.0)
     for pattern in PATTERNS:
+        if pattern is _MOTIONS[0]:
+            check_pair(*look.paths)
         for n in (0, 1) if pattern.alone else (None,):
             figures = pattern.find(look) if n is None else pattern.find(look, n)
             if figures is None:
@@ -547,12 +582,31 @@ def _unit_of_headings(look: Look, i: int) -> Figures | None:
     return {"i": i, "factor": READINGS[k], "unit": words[k - 2], "undo": undo}
 
 
+def _folded(look: Look, i: int) -> Figures | None:
+    """Find headings of half a circle alone: at its ends they jump."""
+    path = look.paths[i]
+    steps = np.abs(np.diff(path.yaw_rad))
+    jumps = steps > 0.75 * np.pi
+    half = path.headed and np.ptp(path.yaw_rad) < np.pi + 0.05 and look.own[i].fixed < _FOLLOWS
+    if not half or not 1 < jumps.sum() < 0.5 * len(steps):
+        return None
+
+    def undo(path: Samples) -> Samples:
+        mended = replace(path, yaw_rad=np.unwrap(path.yaw_rad, period=np.pi))
+        back = increments(mended.trajectory().xyt).ds_m.sum() < 0.0
+        return replace(mended, yaw_rad=mended.yaw_rad + np.pi * back)
+
+    return {"i": i, "count": int(jumps.sum()), "undo": undo}
+
+
 def _unrelated(look: Look, i: int) -> Figures | None:
     """Find headings that follow neither their own path nor the other trajectory."""
     (own, other), (path, beside) = (look.own, look.paths) if i == 0 else (look.own[::-1], look.paths[::-1])
     undo = {"undo": lambda path: path.without_headings()} if i else {}
     turns = np.ptp(np.unwrap(beside.yaw_rad)) > 0.5 if beside.headed else own.agreement[0] < _CLEAR
     if path.headed and np.ptp(path.yaw_rad) < 1e-6 and turns:
+        return {"i": i, "what": "never change", **undo}
+    if path.headed and not beside.headed and np.ptp(path.yaw_rad) < 1e-6 and own.agreement[0] < _CLEAR:
         return {"i": i, "what": "never change", **undo}
     few = min(own.chords, other.chords) < 3 * _FEWEST
     if few or max(own.agreement) > _CLEAR or other.agreement[0] < _FOLLOWS or abs(look.correlations[2, 2]) > _UNCLEAR:
@@ -575,6 +629,38 @@ def _upright(look: Look) -> Figures | None:
     return None
 
 
+def _rate(look: Look) -> Figures | None:
+    """Find a clock of another rate or unit: motions correlate after stretching it, by log times or to equal spans."""
+    # without log times both are taken to last as long, and the less usual period of messages is at fault
+    logged = all(len(path.log_ns) and np.ptp(path.log_ns) > 0 for path in look.paths)
+    spans = [path.span_s / (float(np.ptp(path.log_ns)) * 1e-9 if logged else 1.0) for path in look.paths]
+    usual = spans if logged else [float(np.median(np.diff(path.stamps_ns))) / 5e7 for path in look.paths]
+    i = int(abs(np.log(usual[1])) > abs(np.log(usual[0])))
+    factor = spans[1 - i] / spans[i]
+    if not logged and 0.2 < factor < 5.0:
+        i, factor = 0, spans[1] / spans[0]
+    if 1.0 / _WRONG < factor < _WRONG:
+        return None
+
+    def undo(path: Samples) -> Samples:
+        first = path.stamps_ns[0]
+        return path.stamped(first + np.round((path.stamps_ns - first) * factor).astype(np.int64))
+
+    def alike(one: Samples, other: Samples, *, from_start: bool) -> float:
+        reach_s = min(60.0, one.span_s / 2.0, other.span_s / 2.0)
+        corr = cross_correlation(one.trajectory(), other.trajectory(), reach_s, from_start=from_start, smoothing_s=2.0)
+        return float(np.maximum(corr.both, corr.mirrored).max())
+
+    one, other = look.paths
+    mended = alike(*((one, undo(other)) if i else (undo(one), other)), from_start=True)
+    # farther apart, there is no motion at any shift to compare with
+    near = alike(one, other, from_start=False) if 0.05 < factor < 20.0 else 0.0
+    if mended < max(0.7, near + 0.2):
+        return None
+    doubt = "" if logged else ", or the other one by the inverse"
+    return {"i": i, "rate": 1.0 / factor, "factor": factor, "best": mended, "doubt": doubt, "undo": undo}
+
+
 def _late(look: Look) -> Figures | None:
     """Find a clock that is seconds off; a periodic drive looks mirrored half a period later."""
     odometry, truth = (p.trajectory() for p in look.paths)
@@ -588,15 +674,75 @@ def _late(look: Look) -> Figures | None:
     return {"i": 1, "off": f"{abs(lag_s):.1f}", "side": side, "shift": f"{lag_s:.1f}", "best": most, "near": here}
 
 
-def _one_encoder(look: Look) -> Figures | None:
-    """Find odometry that turns by the travel and travels by the turns: the difference of the wheels is their sum."""
-    c = look.correlations
-    crossed = min(abs(c[0, 2]), abs(c[2, 0]))
-    if crossed < _CLEAR or max(abs(c[0, 0]), abs(c[2, 2])) > crossed - (1.0 - _CLEAR):
+_WHEELS = {
+    2: ("left", "right"), 4: ("front left", "front right", "rear left", "rear right"),
+}  # fmt: skip
+_ROLLS = {
+    2: np.array(((1.0, 0.0, -1.0), (1.0, 0.0, 1.0))),
+    4: np.array(((1.0, -1.0, -1.0), (1.0, 1.0, 1.0), (1.0, 1.0, -1.0), (1.0, -1.0, 1.0))),
+}
+"""How far two wheels, or four that drive sideways, roll by a motion, turns in units of their arm."""
+
+
+def _wheel_gains(look: Look) -> Figures | None:
+    """Find wheels that count by unequal factors g: motions are J' diag(g) J / n times the truth's, J of `_ROLLS`."""
+    here, there, _ = look.motions
+    rolls = _ROLLS[4 if np.std(here[:, 1]) > 0.1 * np.std(here[:, 0]) else 2]
+    axes = [0, 1, 2] if len(rolls) == 4 else [0, 2]
+    trials = [there]
+    if not look.paths[1].headed:  # speeds then have the sign of one of the odometry's motions
+        used = _steady(_moving(np.hypot(there[:, 0], there[:, 1])))
+        here, there = here[used], there[used]
+        speed = np.hypot(there[:, 0], there[:, 1])
+        trials = [np.column_stack((np.sign(here[:, k]) * speed, 0.0 * speed, there[:, 2])) for k in (0, 2)]
+    if len(here) < _FEWEST:
         return None
-    travel, turn = look.ratio(2, 0).value, look.ratio(0, 2).value
-    matrix = np.array(((0.0, 0.0, travel), (0.0, 1.0, 0.0), (turn, 0.0, 0.0)))
-    return {"side": "left" if travel > 0.0 else "right", "undo": _by(matrix)}
+    small, explained = max((_linear(x[:, axes], here[:, axes]) for x in trials), key=lambda found: found[1])
+    own, real = (float(_correlations(x, x)[0, 2]) for x in (here, there))
+    if len(rolls) == 2 and abs(own) > 0.999 and abs(real) < 0.95:
+        # odometry that pivots about one wheel, whatever the truth's turns: that wheel counts nothing
+        curvature = float(np.copysign(np.linalg.norm(here[:, 2]) / np.linalg.norm(here[:, 0]), own))
+        small = small[0, 0] * np.array(((1.0, 1.0 / curvature), (curvature, 1.0)))
+    matrix = np.zeros((3, 3))
+    matrix[np.ix_(axes, axes)] = small
+    if matrix[0, 2] * matrix[2, 0] < 0.0 and not look.paths[1].headed:
+        matrix[:, 0] *= -1.0
+    by_turn, by_travel = np.abs(matrix[:2, 2]).sum(), np.abs(matrix[2, :2]).sum()
+    if explained < _FOLLOWS or min(by_turn, by_travel) < 1e-6 or by_turn > by_travel:
+        return None
+    arm_m = float(np.sqrt(by_turn / by_travel))
+    scaled = matrix * [1.0, 1.0, 1.0 / arm_m] * np.array((1.0, 1.0, arm_m))[:, None]
+    mean = np.diag(np.diag(scaled))
+    between = np.einsum("ij,jk,ik->i", rolls, scaled - mean, rolls) / 2.0
+    gains = np.trace(mean) / len(axes) + between
+    most = float(np.abs(gains).max())
+    made = rolls.T @ (gains[:, None] * rolls) / len(rolls)
+    if np.abs(made - scaled).max() > 0.2 * most or np.ptp(gains) < (1.0 - 1.0 / _WRONG) * most:
+        return None
+    names = _WHEELS[len(rolls)]
+    dead, reverse = np.abs(gains) < 0.1 * most, gains < -0.3 * most
+    wrong = next(x for x in (reverse, dead, np.abs(gains - 1.0) > 0.15, gains < np.inf) if x.any())
+    which = " and ".join(np.array(names)[wrong]) + (" wheel" if wrong.sum() == 1 else " wheels")
+    factor = float(np.mean(gains[wrong]))
+    if reverse.any():
+        cause = f"the {which} counts the wrong way: channels A and B of its encoder, or its motor, are exchanged"
+        change = f"negate the counts of the {which}"
+    elif dead.any():
+        cause, change = f"the {which} counts nothing: its encoder, cable or topic", _RECORD
+    else:
+        cause = f"ticks per turn, gear ratio or radius of the {which} wrong by this factor{_hint(factor)}"
+        change = f"multiply the counts of the {which} by {1.0 / factor:.3g}"
+    figures: Figures = {
+        "each": ", ".join(f"{name} {gain:.2f}" for name, gain in zip(names, gains.tolist(), strict=True)),
+        "arm_m": arm_m, "explained": f"{explained:.1%}", "cause": cause, "change": change, "then": "",
+    }  # fmt: skip
+    if len(rolls) == 4 or not dead.any():
+        # the arm is no better known than the gains, so only what the change says is undone
+        mended = np.where(wrong, -1.0 if reverse.any() else gains, 1.0)
+        back = np.linalg.pinv(rolls.T @ (mended[:, None] * rolls) / len(rolls))
+        back *= np.array((1.0, 1.0, 1.0 / arm_m))[:, None] * [1.0, 1.0, arm_m]
+        figures |= {"undo": _by(back), "then": "this is undone in the odometry, and not in the model"}
+    return figures
 
 
 def _reversed(look: Look, turn: float) -> Figures | None:
@@ -626,12 +772,14 @@ def _exchanged(look: Look) -> Figures | None:
     if corr > -_CLEAR or c[0, 0] < _CLEAR or max(hand, turn) > _UNCLEAR:
         return None
     fault, source = look.at_fault()
+    if c[1, 1] > _CLEAR:
+        words = "sideways they agree"
+        return {"corr": corr, "fault": words, "undo": _by(np.diag((1.0, 1.0, -1.0)))}
     words = "whether the odometry or the truth is wrong, these data do not show"
     if fault is not None:
         words = f"{source} turns as {look.paths[1 - fault].name} does, so {look.paths[fault].name} is wrong"
     undo = lambda path: replace(path, xyz=path.xyz * [1.0, -1.0, 1.0], yaw_rad=-path.yaw_rad)  # noqa: E731
-    turned = _by(np.diag((1.0, 1.0, -1.0)))  # where sideways they agree
-    return {"i": fault or 0, "corr": max(corr, -1.0), "fault": words, "undo": turned if c[1, 1] > _CLEAR else undo}
+    return {"i": fault or 0, "corr": max(corr, -1.0), "fault": words, "undo": undo}
 
 
 def _overflows(look: Look, i: int) -> Figures | None:
@@ -659,7 +807,7 @@ def _overflows(look: Look, i: int) -> Figures | None:
 def _one_way(look: Look, axis: int) -> Figures | None:
     """Find motions of the truth to a side of zero on which the odometry's motion along an axis never is."""
     here, there, _ = look.windows
-    # a tracked point beside the centre goes back in turns on the spot
+    # beside a centre of turning, a tracked point goes back in turns on the spot
     straight = np.abs(there[:, 0]) > 0.5 * np.abs(there[:, 2]) if axis == 0 else np.ones(len(here), dtype=bool)
     for side in (-1, 1) if look.paths[1].headed else ():
         real, counted = _moving(there[:, axis], side) & straight, _moving(here[:, axis], side)
@@ -671,6 +819,35 @@ def _one_way(look: Look, axis: int) -> Figures | None:
             how = "drives forwards there" if ahead else "stands there"
             return {"share": f"{real.mean():.0%}", "how": how, "side": "right" if side < 0 else "left"}
     return None
+
+
+def _stands(look: Look) -> Figures | None:
+    """Find windows in which the odometry does not move at all while the truth does."""
+    here, there, (starts, _) = look.motions
+    speed = np.hypot(there[:, 0], there[:, 1])
+    moves = speed > 0.5 * np.percentile(speed, 95.0)
+    lost = moves & (np.abs(here) <= 1e-3 * np.percentile(np.abs(here), 95.0, axis=0)).all(axis=1)
+    lost_s = float(lost.sum()) * look.window_s / 4.0
+    if lost_s < 10.0 or lost.sum() < 0.2 * moves.sum():
+        return None
+    begins = starts[lost]
+
+    def undo(path: Samples) -> Samples:
+        after = np.searchsorted(begins, path.t_s) - 1
+        return path.only((after < 0) | (path.t_s - begins[np.maximum(after, 0)] > look.window_s))
+
+    return {"lost": f"{lost_s:.0f}", "share": f"{lost.sum() / moves.sum():.0%}", "undo": undo}
+
+
+def _turns_otherwise(look: Look) -> Figures | None:
+    """Find odometry whose travel is the truth's and whose turns are not."""
+    c, (here, there, _) = look.correlations, look.windows
+    used = _moving(there[:, 0])
+    turns = [float(np.sqrt(np.mean(x[used, 2] ** 2))) for x in (here, there)] if used.any() else [0.0]
+    few = min(turns) < _FEW_TURNS or used.sum() < 5 * _FEWEST
+    if few or abs(c[2, 2]) > _UNCLEAR or np.corrcoef(here[:, 0], there[:, 0])[0, 1] < _FOLLOWS:
+        return None
+    return {"corr": float(c[2, 2])}
 
 
 def _truth_unit(look: Look) -> Figures | None:
@@ -685,33 +862,50 @@ def _ratios(look: Look, travel: bool, turn: bool, *, alike: bool = False) -> Fig
     """Find which of travel and turns are plainly wrong, by the same factor or not."""
     v, w = look.travel, look.turn
     wrong = v.beyond(_WRONG)
-    # chords of positions smooth turns; travel is no factor while turns are others
+    # chords of positions smooth turns
     same = v.sure and w.sure and abs(v.value / w.value - 1.0) < (_ALIKE if look.paths[1].headed else 4.0 * _ALIKE)
-    sure = w.sure or all(np.percentile(np.abs(x[:, 2]), 90.0) < _MOVING for x in look.windows[:2])
-    if (wrong, w.beyond(_WRONG, _WRONG if wrong else _SKIDS)) != (travel, turn) or same is not alike or not sure:
+    if (wrong, w.beyond(_WRONG, _WRONG if wrong else _SKIDS)) != (travel, turn) or same is not alike:
+        return None
+    if not w.sure and look.turns > _FEW_TURNS:
         return None
     gains = v.value if travel else 1.0, v.value if alike else w.value if turn else 1.0
     sides = [look.ratio(2, side=side) for side in (1, -1)]
     large = [max(k, 1.0 / k) for k in gains]
     far = [f"{x:.3g} times {'less than' if k > 1.0 else 'as far as'}" for x, k in zip(large, gains, strict=True)]
-    hints = [said for near, said in _HINTS.items() if abs(np.log(large[not travel] / near)) < 1.5 * _ALIKE]
     beside = ", left and right alike" if all(s.sure for s in sides) else ""
     if beside and abs(sides[0].value / sides[1].value - 1.0) > 2.0 * _ALIKE:
         beside = f", left {sides[0].value:.3g} and right {sides[1].value:.3g} times"
+    separation = gains[0] / gains[1]
     return {
-        "travels": far[0], "turns": far[1], "hint": f" ({hints[0]})" if hints else "", "v": gains[0], "gains": gains,
-        "inverse": 1.0 / gains[1], "sides": beside, "agree": f"turns {'agree' if w.sure else 'are too few to compare'}",
-        "track": f" ({look.track_m:.4g} -> {look.track_m / gains[1]:.4g} m)" if look.track_m else "",
+        "travels": far[0], "turns": far[1], "hint": _hint(gains[0]), "hint_turn": _hint(separation), "v": gains[0],
+        "gains": gains, "separation": separation, "sides": beside,
+        "agree": f"turns {'agree' if w.sure else 'are too few to compare'}",
+        "track": f" ({look.track_m:.4g} -> {look.track_m * separation:.4g} m)" if look.track_m else "",
         "truth": "; or lengths of the truth in another unit" if gains[0] > 1.0 else "",
         "undo": _by(np.diag((gains[0], *gains))),
     }  # fmt: skip
+
+
+def _hint(factor: float) -> str:
+    """Return the likely cause of a factor near one of `_HINTS` or its inverse, in brackets."""
+    off = {said: abs(np.log(max(factor, 1.0 / factor) / near)) for near, said in _HINTS.items()}
+    nearest = min(off, key=off.__getitem__)
+    return f" ({nearest})" if off[nearest] < 1.5 * _ALIKE else ""
 
 
 _RECORD = "mend it and record again"
 _KEPT = "the model has the factor, and is of this odometry as it is"
 
 # fmt: off
-PATTERNS = (
+_CLOCKS = (
+    Pattern(
+        "clock rate",
+        "{who}: its clock advances {rate} s in a second of {other}'s{doubt} (stretched, motions correlate by {best})",
+        "stamps in another unit, or counted at another rate; a simulation slower than its clock",
+        "give stamps of one clock in seconds", _rate, "its stamps are multiplied by {factor}",
+    ),
+)
+_MOTIONS = (
     Pattern(
         "overflow", "{who}: {count} jumps of the same size, {wheel_m} m of one wheel", "a counter overflows: {width}",
         "subtract counts as signed integers of the counter's width", _overflows, "the jumps are taken out", alone=True,
@@ -732,6 +926,11 @@ PATTERNS = (
         "degrees given to a function of radians, or the other way round; a column with the wrong name",
         "name the column yaw_deg or yaw_rad, as it is; for a bag, convert before making quaternions", _unit_of_headings,
         "its headings are multiplied by {factor}", alone=True,
+    ),
+    Pattern(
+        "folded headings", "{who}: its headings are of half a circle alone, and jump by 180 deg {count} times",
+        "an arc cosine or tangent of one argument; an angle modulo 180 deg", "take atan2 of both components", _folded,
+        "the jumps are undone", alone=True,
     ),
     Pattern(
         "mirrored headings", "{who}: its headings turn the other way than its path does",
@@ -758,9 +957,13 @@ PATTERNS = (
         "clocks that are not synchronised; one of the files began later", "give --truth-shift {shift}", _late,
     ),
     Pattern(
-        "one encoder reversed", "{who} drives ahead where the truth turns, and turns where it drives ahead",
-        "the {side} wheel counts the wrong way: channels A and B of its encoder, or its motor, are exchanged",
-        "negate the counts of the {side} wheel", _one_encoder, "travel and turns are exchanged back",
+        "stands still", "{who} stands still for {lost} s while {other} moves ({share} of its motion)",
+        "messages repeated by a driver that lost its wheels; a cable; wheels that are lifted", _RECORD, _stands,
+        "these stretches are left out",
+    ),
+    Pattern(
+        "wheel gains", "{who} moves as with wheels that count {each} times their way (this explains {explained})",
+        "{cause}", "{change}", _wheel_gains, "{then}",
     ),
     Pattern(
         "forward is -x",
@@ -795,6 +998,11 @@ PATTERNS = (
         lambda look: _one_way(look, 2),
     ),
     Pattern(
+        "turns otherwise",
+        "{who} travels as the truth does, but its turns do not follow the truth's (correlation {corr})",
+        "degrees given to a tangent or sine; the angle of another joint or axis", _RECORD, _turns_otherwise,
+    ),
+    Pattern(
         "unit of the truth", "{who} travels {far} times as far as {other}, usually at {speed} m/s",
         "{unit} for metres", "give metres (columns x_mm, y_cm, z_ft name their unit)", _truth_unit, "taken as {unit}",
     ),
@@ -805,8 +1013,8 @@ PATTERNS = (
     ),
     Pattern(
         "wheel separation", "{who} turns {turns} the truth{sides}; travel agrees",
-        "wheel separation (or steering ratio, or gyro scale) wrong by this factor{hint}",
-        "`wheel_separation` x {inverse}{track}", lambda look: _ratios(look, False, True), _KEPT,
+        "wheel separation (or steering ratio, or gyro scale) wrong by this factor{hint_turn}",
+        "`wheel_separation` x {separation}{track}", lambda look: _ratios(look, False, True), _KEPT,
     ),
     Pattern(
         "travel", "{who} travels {travels} the truth; {agree}",
@@ -815,9 +1023,11 @@ PATTERNS = (
     ),
     Pattern(
         "travel and turns", "{who} travels {travels} the truth, and turns {turns} it",
-        "wheel radius (gear ratio, ticks per turn){hint}, and wheel separation", "`wheel_radius` x {v}, then the turns",
+        "wheel radius (gear ratio, ticks per turn){hint}, and wheel separation{hint_turn}",
+        "`wheel_radius` x {v}, `wheel_separation` x {separation}{track}",
         lambda look: _ratios(look, True, True), _KEPT,
     ),
 )
 # fmt: on
+PATTERNS = (*_CLOCKS, *_MOTIONS)
 """Plain mistakes in the order in which they are tested and undone."""

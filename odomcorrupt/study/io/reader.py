@@ -28,7 +28,7 @@ from odomcorrupt.study.io.localisation import (
     is_of_base,
     spaced_by_motion,
 )
-from odomcorrupt.study.io.plausibility import check_pair, check_together
+from odomcorrupt.study.io.plausibility import check_together
 from odomcorrupt.study.io.raw_trajectory import in_order
 from odomcorrupt.study.io.recording import sketch_of
 from odomcorrupt.study.io.relative_motions import chains_of, read_motions
@@ -353,7 +353,6 @@ def recordings_of(
         truth = truth.stamped(truth.stamps_ns + shift).noted(f"stamps shifted by {truth_shift_s:g} s")
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
-    check_pair(odometry, without_float_episodes(truth))
     found = first_look(Look((odometry, without_float_episodes(truth)), witnesses, track_m))
     odometry, truth = found.odometry, found.truth
     truth = without_float_episodes(without_course(odometry, truth))

@@ -17,6 +17,7 @@ from odomcorrupt.simulation import Segment, Tracker, simulate, write_mcap
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.io.first_look import Look, Witness, factors_of, first_look, mistakes_alone
 from odomcorrupt.study.io.plausibility import check_together, cross_correlation
+from odomcorrupt.study.io.reader import recordings_of
 from odomcorrupt.study.io.recording import Mistake
 from odomcorrupt.summary import Line, Summary
 
@@ -109,16 +110,106 @@ def test_a_mirrored_truth_is_one_of_two_and_a_gyro_decides(headed):
     assert np.array_equal(found.odometry.xyz, odometry.xyz)
 
 
-@pytest.mark.parametrize(("side", "words"), [((-1.0, 1.0), "left"), ((1.0, -1.0), "right")])
-def test_a_reversed_encoder_exchanges_travel_and_turn(side, words):
-    rows = driven()
-    wrong = rims(rows, lambda u: side[0] * u, lambda u: side[1] * u)
-    found = first_look(Look((trajectory(wrong), real(rows))))
-    assert names(found) == ["one encoder reversed"]
-    assert f"the {words} wheel" in found.mistakes[0].causes
+@pytest.mark.parametrize("headed", [True, False])
+@pytest.mark.parametrize(
+    ("gains", "words"),
+    [
+        ((-1.0, 1.0), "the left wheel counts the wrong way"),
+        ((1.0, -1.0), "the right wheel counts the wrong way"),
+        ((1.0, 0.0), "the right wheel counts nothing"),
+        ((0.55, 1.0), "radius of the left wheel wrong"),
+        ((1.0, 2.4), "radius of the right wheel wrong"),
+    ],
+)
+def test_wheels_that_count_by_unequal_factors(gains, words, headed):
+    rows = driven(3)
+    pair = trajectory(rims(rows, lambda u: gains[0] * u, lambda u: gains[1] * u)), real(rows, headed=headed)
+    if 0.0 in gains:
+        with pytest.raises(RecordingError, match=words):
+            first_look(Look(pair))
+        return
+    found = first_look(Look(pair))
+    assert names(found) == ["wheel gains"]
+    assert words in found.mistakes[0].causes
     back = increments(found.odometry.trajectory().xyt).rows
-    assert np.corrcoef(back[:, 0], rows[:, 0])[0, 1] > 0.99
     assert np.corrcoef(back[:, 2], rows[:, 2])[0, 1] > 0.99
+    assert abs(np.corrcoef(back[:, 0], rows[:, 0])[0, 1]) > 0.99
+
+
+@pytest.mark.parametrize("wheel", range(4))
+def test_one_of_four_wheels_that_counts_the_wrong_way(wheel):
+    rows = driven(4)
+    rows[:, 1] = driven(5)[: len(rows), 0]
+    rolls = np.array(((1, -1, -0.3), (1, 1, 0.3), (1, 1, -0.3), (1, -1, 0.3)), dtype=float)
+    counts = rows @ rolls.T * np.where(np.arange(4) == wheel, -1.0, 1.0)
+    found = first_look(Look((trajectory(counts @ np.linalg.pinv(rolls).T), real(rows))))
+    assert names(found) == ["wheel gains"]
+    name = ("front left", "front right", "rear left", "rear right")[wheel]
+    assert f"the {name} wheel counts the wrong way" in found.mistakes[0].causes
+    back = increments(found.odometry.trajectory().xyt).rows
+    assert np.allclose([np.corrcoef(back[:, k], rows[:, k])[0, 1] for k in range(3)], 1.0, atol=0.01)
+
+
+@pytest.mark.parametrize("headed", [True, False])
+def test_travel_is_no_factor_while_turns_do_not_follow(headed):
+    rows = driven(6)
+    turns = np.roll(rows[:, 2], len(rows) // 2)
+    with pytest.raises(RecordingError, match="its turns do not follow the truth's"):
+        first_look(Look((trajectory(np.column_stack((2.2 * rows[:, :2], turns))), real(rows, headed=headed))))
+
+
+def test_a_tracked_point_beside_the_centre_does_not_drive_in_reverse():
+    rows = driven(8, reverse=False)
+    seen = trajectory(rows + 0.05 * rows[:, [2, 0, 1]] * [1.0, 0.0, 0.0], "/truth", every=2, noise=1e-3)
+    found = first_look(Look((trajectory(rows * 3.7), seen)))
+    assert names(found) == ["wheel radius"]
+
+
+@pytest.mark.parametrize("factor", [0.5, 3.0, 1000.0])
+@pytest.mark.parametrize("at", [0, 1], ids=["odometry", "truth"])
+@pytest.mark.parametrize("logged", [True, False])
+def test_a_clock_of_another_rate(factor, at, logged):
+    rows = driven(9)
+    pair = [trajectory(rows), real(rows)]
+    if logged:
+        pair = [replace(one, log_ns=one.stamps_ns) for one in pair]
+    first = pair[at].stamps_ns[0]
+    wrong = first + np.round((pair[at].stamps_ns - first) * factor).astype(np.int64)
+    pair[at] = pair[at].stamped(wrong)
+    found = first_look(Look((pair[0], pair[1])))
+    assert names(found) == ["clock rate"]
+    assert found.odometry.span_s == pytest.approx(found.truth.span_s, rel=0.01)
+    assert not logged or found.truth.span_s == pytest.approx(len(rows) / HZ, rel=0.01)
+
+
+@pytest.mark.parametrize("headed", [True, False])
+@pytest.mark.parametrize("at", [0, 1], ids=["odometry", "truth"])
+def test_headings_of_half_a_circle(at, headed):
+    rows = driven(10)
+    pair = [trajectory(rows), real(rows, headed=headed or at == 1)]
+    pair[at] = replace(pair[at], yaw_rad=pair[at].yaw_rad % np.pi)
+    found = first_look(Look((pair[0], pair[1])))
+    assert names(found) == ["folded headings"]
+    assert not first_look(Look((found.odometry, found.truth))).mistakes
+
+
+@pytest.mark.parametrize("headed", [True, False])
+def test_odometry_that_stands_while_the_truth_moves(headed):
+    rows = driven(11)
+    t_s = np.arange(len(rows)) / HZ
+    kept = np.where((t_s > 40.0) & (t_s < 85.0), 0.0, 1.0)[:, None]
+    found = first_look(Look((trajectory(rows * kept), real(rows, headed=headed))))
+    assert names(found) == ["stands still"]
+    left_s = found.odometry.t_s
+    assert np.sum((left_s > 42.0) & (left_s < 83.0)) < 0.7 * 41.0 * HZ
+    assert np.sum(left_s < 38.0) + np.sum(left_s > 87.0) == np.sum(t_s < 38.0) + np.sum(t_s > 87.0) + 1
+
+
+def test_an_orientation_that_was_never_set_beside_positions():
+    rows = driven(12)
+    odometry = trajectory(rows)
+    with pytest.raises(RecordingError, match="they never change"):
+        first_look(Look((replace(odometry, yaw_rad=0.0 * odometry.yaw_rad), real(rows, headed=False))))
 
 
 def test_encoders_without_direction_are_refused():
@@ -233,6 +324,15 @@ def test_the_recording_keeps_its_odometry_and_has_the_factor_as_an_effect(read, 
     for (factor,) in (factors_of([run]), fit_robot([run], (), law_name="diffusion").model.effects):
         assert (factor.name, factor.e) == ("wheel_scale", pytest.approx(gain / 1.02 - 1.0, abs=0.05 * gain))
     assert "turns agree" in run.mistakes[0].said
+
+
+@pytest.mark.parametrize("turned", [14.0, 0.07])
+def test_the_model_of_a_fit_has_the_factor(turned):
+    """Breaks where sensitivities are those of the truth's speeds, although the odometry's are many times as large."""
+    moved, seen = trajectory(driven(13) * [1.0, 1.0, turned]), real(driven(13))
+    runs = recordings_of("run", moved, seen)
+    (wheelbase,) = fit_robot(runs, (), law_name="diffusion").model.effects
+    assert wheelbase.e == pytest.approx(turned - 1.0, rel=0.02)
 
 
 def test_what_is_complete_but_for_a_mistake_is_not_called_complete():
