@@ -218,7 +218,6 @@ def test_a_clock_that_was_not_put_to_the_test_is_reported():
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="the clock is 2 nats ahead of the slip, and a clock that is in the model is no choice yet")
 def test_slip_that_a_late_clock_would_explain_as_well_is_a_choice_and_the_drive_settles_it():
     hold = round(5.0 / STEP_S), round(2.0 / STEP_S)
     v = np.tile(np.repeat((0.5, 0.0), hold), 20)

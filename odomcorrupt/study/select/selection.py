@@ -125,11 +125,10 @@ def learn(
 def _clock_choice(clocks: Clocks, recordings: Sequence[Recording], decisions: Decisions) -> ClockChoice:
     """Return which clock numbers are free in any case, and which ones compete with other terms.
 
-    A clock that is far off has errors that are not linear in it, and that no other term has. An offset competes even if
-    it is not significant by itself: at a steady speed it is a lever arm.
+    A clock that is far off has errors that are not linear in it, and that no other term has.
     """
     leaders = np.array(clock_leaders(recordings))
-    free = np.array(clocks.free, dtype=bool).reshape(-1, 2) | [True, False]
+    free = np.array(clocks.free, dtype=bool).reshape(-1, 2)
     lasts_s = np.array([float(r.truth_s[-1] - r.truth_s[0]) for r in recordings])
     shift_s = np.array([(abs(c.offset_s), abs(c.rate) * t) for c, t in zip(clocks.clocks, lasts_s, strict=True)])
     held = free & (shift_s > decisions.far_clock_s)
