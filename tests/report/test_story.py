@@ -156,7 +156,7 @@ def test_a_validated_drive_is_not_asked_for_but_what_it_showed_is_said(rich):
     assert not any("--validate" in line.text for line in lines)
 
 
-def test_a_dependence_of_the_model_is_told_as_such_though_another_part_was_dropped(rich, sequence):
+def test_a_dependence_of_the_model_is_reported_as_such_though_another_part_was_dropped(rich, sequence):
     """What is dropped changes what others may replace, and a changed copy of a dependence was taken for another one."""
     law, name = UNKNOWNS[-1], "along_over_distance"
     fit = rich.fit.refit((*rich.fit.effects, user_effect(name, "along += v * (k * cos(distance))", {"k": 0.01})))

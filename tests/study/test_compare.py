@@ -62,7 +62,7 @@ def gaussian_windows(seed, count, scale=1.0):
 
 @pytest.mark.slow
 def test_at_every_length_of_path_and_in_every_check_a_right_model_keeps_its_level():
-    looks, inside, rejected, told = {}, [], [], []
+    looks, inside, rejected, failing = {}, [], [], []
     for seed in range(120):
         piece = judged(seed, 300.0)
         horizons = horizons_of([piece], (1.0, 2.0, 5.0, 10.0, 20.0))
@@ -76,12 +76,12 @@ def test_at_every_length_of_path_and_in_every_check_a_right_model_keeps_its_leve
         rejected.append(verdict_of(horizons, pits, whiteness).rejected)
         found = failures(piece.problem, piece.whitener, piece.innovations)
         found += sudden_failures(piece.problem, piece.covariance, piece.innovations)
-        told.append(bool(found) or bool(drift_failures(horizons)))
+        failing.append(bool(found) or bool(drift_failures(horizons)))
     for look, results in looks.items():
         assert 0.01 <= np.mean(results) <= 0.1, f"{look}: {np.mean(results)}"
     np.testing.assert_allclose(np.mean(inside, axis=0), 0.9, atol=0.025)
     assert np.mean(rejected) <= 0.1
-    assert np.mean(told) <= 0.08
+    assert np.mean(failing) <= 0.08
 
 
 def test_chance_alone_leaves_the_bounds_in_one_of_twenty_and_a_wrong_scale_in_most():

@@ -306,12 +306,12 @@ def test_estimates_that_blocks_disagree_on_have_larger_errors():
     rng = np.random.default_rng(1)
     block, pull = np.repeat(np.arange(40), 30), np.ones((1200, 1))
     calm = rng.standard_normal(1200)
-    told = []
+    stated = []
     for together in (0.0, 1.0):  # what all innovations of a block share
         variance, dof = between_blocks(block, pull, calm + together * np.repeat(rng.standard_normal(40), 30))
-        told.append(float(inflation(variance, dof, shared_variance(variance, dof))[0]))
-    assert told[0] == pytest.approx(1.0, abs=0.3)
-    assert told[1] == pytest.approx(31.0, rel=0.5)
+        stated.append(float(inflation(variance, dof, shared_variance(variance, dof))[0]))
+    assert stated[0] == pytest.approx(1.0, abs=0.3)
+    assert stated[1] == pytest.approx(31.0, rel=0.5)
 
 
 @pytest.mark.slow

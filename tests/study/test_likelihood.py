@@ -167,7 +167,7 @@ def left_arcs(duration_s=90.0):
 def test_reported_correlations_are_those_of_many_fits():
     steps = left_arcs()
     effects = [effect_from_values(name, {}) for name in ("wheelbase", "unequal_wheels")]
-    estimates, told = [], []
+    estimates, stated = [], []
     for seed in range(40):
         run = recording(steps, noisy_path(steps, LARGE, seed), truth_mm=1.0, truth_rad=0.001, seed=seed)
         approach = choose_approach([run], "diffusion")
@@ -178,14 +178,14 @@ def test_reported_correlations_are_those_of_many_fits():
         one = fit_correlation(found, found.design_matrix, known)
         matrix = one.among(["wheelbase.e", "unequal_wheels.curvature", *NAMES])
         if len(matrix) == 6:
-            told.append(matrix.matrix)
-    assert len(told) > 20
-    shown, told = np.corrcoef(np.array(estimates).T), np.median(told, axis=0)
-    assert told[0, 1] > 0.9
+            stated.append(matrix.matrix)
+    assert len(stated) > 20
+    shown, stated = np.corrcoef(np.array(estimates).T), np.median(stated, axis=0)
+    assert stated[0, 1] > 0.9
     # of forty draws a correlation of 0 shows up to 0.35 either way
-    np.testing.assert_allclose(told, shown, atol=0.4)
-    assert abs(told[0, 1] - shown[0, 1]) < 0.05
-    assert not told[:2, 2:].any()
+    np.testing.assert_allclose(stated, shown, atol=0.4)
+    assert abs(stated[0, 1] - shown[0, 1]) < 0.05
+    assert not stated[:2, 2:].any()
 
 
 def test_fitted_model_keeps_its_correlations_in_its_file():

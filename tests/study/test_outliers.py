@@ -1,4 +1,4 @@
-"""Single events, slips, heavy tails and ticks are told apart, and a model drifts about as far as its recordings."""
+"""Single events, slips, heavy tails and ticks are distinguished, and a model drifts about as far as its recordings."""
 
 from dataclasses import replace
 from types import SimpleNamespace

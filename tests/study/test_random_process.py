@@ -177,6 +177,6 @@ def test_headings_of_a_truth_that_err_alike_for_a_second_are_no_bias_of_the_robo
     keep, kicks = np.exp(-1.0 / RATE_HZ / 1.0), rng.standard_normal(len(planned) + 1)
     smooth = lfilter([1.0], [1.0, -keep], lfilter([1.0], [1.0, -keep], kicks))
     off = np.stack((0.0 * smooth, 0.0 * smooth, 0.02 * smooth / smooth.std()), axis=1)
-    told = recording(planned, noisy_path(planned, Coefficients(0.005, 0.005, 0.01, 0.005), 305), seed=305)
-    truth = Trajectory(told.truth.stamps_ns, told.truth.xyt + off)
-    assert [gain.effect.name for gain in learn([replace(told, truth=truth)]).noise] == []
+    run = recording(planned, noisy_path(planned, Coefficients(0.005, 0.005, 0.01, 0.005), 305), seed=305)
+    truth = Trajectory(run.truth.stamps_ns, run.truth.xyt + off)
+    assert [gain.effect.name for gain in learn([replace(run, truth=truth)]).noise] == []

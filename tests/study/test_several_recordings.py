@@ -108,7 +108,7 @@ def test_a_recording_cut_in_two_has_one_clock_and_the_same_errors(drives, model)
     assert error_m(cut) == pytest.approx(error_m(found), rel=0.15)
 
 
-def test_a_recording_whose_clock_cannot_be_told_has_that_of_the_others(drives):
+def test_a_recording_that_does_not_determine_its_clock_has_that_of_the_others(drives):
     offset_ns = 80_000_000
     late = [replace(r, odometry=Trajectory(r.odometry.stamps_ns + offset_ns, r.odometry.xyt)) for r in drives]
     late = [replace(r, origin_ns=int(r.odometry.stamps_ns[0])) for r in late]
@@ -217,7 +217,7 @@ LEG = (Segment(0.6, 0.0, 3.0), Segment(0.5, 0.6, 2.5), Segment(0.3, -0.5, 4.0), 
 
 
 def with_resets(run, *times_s):
-    """The run as the driver says it that begins anew from zero at some times."""
+    """The run as a driver reports it that restarts from zero at some times."""
     xyt = run.odom_xyt.copy()
     for at in np.searchsorted(run.odom_stamps_ns, run.odom_stamps_ns[0] + np.array(times_s) * SECOND_NS):
         xyt[at:] = between(xyt[at], xyt[at:])
@@ -264,8 +264,8 @@ def test_a_run_with_resets_is_halved_as_one(tmp_path, office, whole, resets_s, p
         assert 0 <= part.odometry.stamps_ns[0] - part.truth.stamps_ns[0] < 3.1 * SECOND_NS
         assert 0 <= part.truth.stamps_ns[-1] - part.odometry.stamps_ns[-1] < 3.1 * SECOND_NS
     found = judged(recordings)
-    told = [name.removeprefix("run.mcap ") for name in names(found)]
-    assert told == pieces
+    parts = [name.removeprefix("run.mcap ") for name in names(found)]
+    assert parts == pieces
     assert found.evaluations[0].judged_on == "folds"
     # windows of 10 s begin elsewhere, and there are a dozen
     assert found.evaluations[0].ten_second_error_m < 1.6 * whole.evaluations[0].ten_second_error_m

@@ -28,8 +28,8 @@ def drive():
 @pytest.mark.slow
 def test_rollers_that_slip_have_a_name_and_the_right_size(drive):
     # the odometry says more than was driven: the truth is e = -6 % of it shorter
-    told = accumulate(np.zeros(3), Increments(drive.ds_m, drive.dl_m / 0.94, drive.dtheta_rad))
-    learned = learn([recording(drive, told, truth_mm=1.0, truth_rad=0.001, seed=311)])
+    reported = accumulate(np.zeros(3), Increments(drive.ds_m, drive.dl_m / 0.94, drive.dtheta_rad))
+    learned = learn([recording(drive, reported, truth_mm=1.0, truth_rad=0.001, seed=311)])
     assert learned.added == ("sideways_scale",)
     assert learned.fit.effects[0].e == pytest.approx(-0.06, abs=0.002)
     assert learned.error_m < 0.1 * learned.rounds[0].candidates[0].rmse[0]
@@ -38,8 +38,8 @@ def test_rollers_that_slip_have_a_name_and_the_right_size(drive):
 @pytest.mark.slow
 def test_a_wheel_of_another_size_turns_the_robot_as_it_drives_sideways(drive):
     k = 0.05
-    told = accumulate(np.zeros(3), Increments(drive.ds_m, drive.dl_m, drive.dtheta_rad - k * drive.dl_m))
-    learned = learn([recording(drive, told, truth_mm=1.0, truth_rad=0.001, seed=313)])
+    reported = accumulate(np.zeros(3), Increments(drive.ds_m, drive.dl_m, drive.dtheta_rad - k * drive.dl_m))
+    learned = learn([recording(drive, reported, truth_mm=1.0, truth_rad=0.001, seed=313)])
     assert learned.added == ("sideways_turn",)
     assert learned.fit.effects[0].k == pytest.approx(k, abs=0.001)
     assert learned.error_m < 0.1 * learned.rounds[0].candidates[0].rmse[0]

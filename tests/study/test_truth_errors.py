@@ -241,7 +241,7 @@ def test_a_short_drive_keeps_nodes_enough_for_its_halves():
 
 
 @pytest.mark.slow
-def test_a_bias_that_walks_is_told_from_one_that_stays_although_nodes_lie_seconds_apart():
+def test_a_bias_that_walks_is_distinguished_from_one_that_stays_although_nodes_lie_seconds_apart():
     seed, count = 5, int(260.0 * RATE_HZ)
     walk = np.cumsum(np.random.default_rng(seed).normal(0.0, 3e-4 / np.sqrt(RATE_HZ), count))
     found = {}

@@ -159,7 +159,7 @@ def _may_be_dead_band(name: str, learned: Learned) -> bool:
 
 
 def _may_be_of_wheels(name: str, learned: Learned) -> bool:
-    """Return whether a small lever arm may be a larger wheel: of a curvature k on a track b it is k b^2 / 4."""
+    """Return whether a small lever arm may come from unequal wheels: curvature k on a track b acts as k b^2 / 4."""
     motion, arm = learned.fit.problem.motions[0], learned.fit.by_name.get("lever_arm")
     if name != "lever_arm" or arm is None or motion.track_m is not None or "unequal_wheels" not in learned.fit.by_name:
         return False

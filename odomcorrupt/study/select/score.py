@@ -65,7 +65,7 @@ class Score:
 
 
 def scores_of(evidence: Evidence, terms: Sequence[LibraryTerm | BasisTerm]) -> list[Score]:
-    """Return the score tests of terms, each alone beside what the evidence is beside.
+    """Return the score test of each term alone, beside the model that is projected out of the evidence.
 
     terms : those of the evidence, in its order
     """

@@ -93,7 +93,7 @@ def learn(
     start = (*start, *mounting_of(recordings, start))
     as_given, encoders = recordings, encoder_effects(recordings[0])
     recordings = [restore_lost(recording, encoders) for recording in recordings]
-    if phased_rmse(recordings) > phased_rmse(as_given):  # what looks like losses are coarse ticks
+    if encoders and phased_rmse(recordings) > phased_rmse(as_given):  # what looks like losses are coarse ticks
         recordings, encoders = as_given, [effect for effect in encoders if not effect.restorable]
     approach = choose_approach(recordings, law_name)
     recordings = with_bias_walks(with_correlation_lengths(recordings, approach), approach)

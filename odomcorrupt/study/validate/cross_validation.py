@@ -90,7 +90,7 @@ def split_of(recordings: Sequence[Recording], fitted: Sequence[bool], spacing_s:
     others = [(i,) for i, is_known in enumerate(known) if not is_known]
     enough = [i for i in own if sum(count_intervals(r, spacing_s) for r in runs[i]) >= LEAST_INTERVALS] or own
     groups = _balanced({i: (-sum(_seconds(r) for r in runs[i]), *_content(runs[i][0])) for i in enough})
-    # runs that are too short for a fit of their own are with the longest
+    # runs that are too short for a fit of their own are grouped with the longest
     groups[:1] = [tuple(sorted((*group, *(i for i in own if i not in enough)))) for group in groups[:1]]
     middle, notes = None, list[str]()
     if len(groups) == 1:

@@ -1,4 +1,4 @@
-"""Odometry that other sensors correct, and gyros with a dead band, are told from errors that accumulate."""
+"""Odometry that other sensors correct, and gyros with a dead band, are distinguished from errors that accumulate."""
 
 from dataclasses import replace
 

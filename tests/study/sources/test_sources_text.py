@@ -23,7 +23,7 @@ def tum(path, rows):
 
 
 def table(path, rows, header, line):
-    """Write a table; `line` names what stands in a row: s, ns, x, mm and so on."""
+    """Write a table; `line` names the columns of a row: s, ns, x, mm and so on."""
     lines = [header]
     for stamp, (x, y, z), yaw, quat in zip(
         rows.stamps_ns.tolist(), rows.xyz.tolist(), rows.yaw.tolist(), rows.quat.tolist(), strict=True
