@@ -815,7 +815,9 @@ def _one_way(look: Look, axis: int) -> Figures | None:
             continue
         ahead = np.median(here[real, axis] / there[real, axis]) < -0.5
         enough = real.sum() >= (_FEWEST / 2.0 if ahead else _FEWEST)
-        if enough and _moving(there[:, axis], -side).any() and np.mean(here[real, axis] * side > 0.0) < 0.1:
+        other = _moving(there[:, axis], -side)
+        low, high = np.percentile(here[other, axis] / there[other, axis], (25.0, 75.0)) if other.any() else (0.0, 0.0)
+        if enough and 0.0 < high < 2.0 * low and np.mean(here[real, axis] * side > 0.0) < 0.1:
             how = "drives forwards there" if ahead else "stands there"
             return {"share": f"{real.mean():.0%}", "how": how, "side": "right" if side < 0 else "left"}
     return None
