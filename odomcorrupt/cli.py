@@ -46,6 +46,11 @@ class _Group(click.Group):
         module = command_names().get(cmd_name)
         return None if module is None else importlib.import_module(module).command
 
+    @property
+    def _default(self) -> click.Command:
+        command: click.Command = importlib.import_module(command_names()[DEFAULT]).command
+        return command
+
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Select by the first token: a command, a flag of the group, or else the default command."""
         if args and args[0] not in command_names() and args[0] not in _OWN_FLAGS:
@@ -58,13 +63,11 @@ class _Group(click.Group):
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """Complete commands, and arguments of the default command."""
         found = super().shell_complete(ctx, incomplete)
-        default = self.get_command(ctx, DEFAULT)
-        if default is not None:
-            sub = click.Context(default, parent=ctx, resilient_parsing=True)
-            known = {item.value for item in found}
-            found += [item for item in default.shell_complete(sub, incomplete) if item.value not in known]
-            if not incomplete.startswith("-"):
-                found.append(CompletionItem(incomplete, type="file"))
+        sub = click.Context(self._default, parent=ctx, resilient_parsing=True)
+        known = {item.value for item in found}
+        found += [item for item in self._default.shell_complete(sub, incomplete) if item.value not in known]
+        if not incomplete.startswith("-"):
+            found.append(CompletionItem(incomplete, type="file"))
         return found
 
     def format_usage(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -74,15 +77,10 @@ class _Group(click.Group):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the default command's options, the group's own, and the commands."""
-        default = self.get_command(ctx, DEFAULT)
-        own = [record for p in self.get_params(ctx) if (record := p.get_help_record(ctx)) is not None]
-        rows = []
-        if default is not None:
-            sub = click.Context(default, info_name=ctx.info_name)
-            options = (p for p in default.params if isinstance(p, click.Option))
-            rows = [record for p in options if (record := p.get_help_record(sub)) is not None]
+        options = [p for p in self._default.params if isinstance(p, click.Option)]
+        rows = [record for p in (*options, *self.get_params(ctx)) if (record := p.get_help_record(ctx)) is not None]
         with formatter.section("Options"):
-            formatter.write_dl(rows + own)
+            formatter.write_dl(rows)
         self.format_commands(ctx, formatter)
 
 
@@ -160,30 +158,22 @@ def _report_error(error: BaseException, args: Sequence[str]) -> int:
     return code
 
 
-def _warn(message: Warning | str, *_where: object, **_more: object) -> None:
-    """Print a warning in one line, without its place in the source."""
-    _say(f"warning: {message}")
-
-
 def _say(sentence: str) -> None:
     """Print a sentence in one line; of a very long one, which quotes a file, the middle is left out."""
     shown = sentence if len(sentence) <= 2 * _HALF else f"{sentence[:_HALF]} ... {sentence[-_HALF:]}"
     click.echo(f"odomcorrupt: {visible(shown.replace(chr(10), ' '))}", err=True)
 
 
-def _terminated(number: int, _frame: object) -> NoReturn:
-    sys.exit(128 + number)
-
-
 def main() -> NoReturn:
     """Run the command line with the arguments of the program, and exit."""
     install()
-    warnings.showwarning = _warn
+    # in one line, without its place in the source
+    warnings.showwarning = lambda message, *_where, **_more: _say(f"warning: {message}")
     # the study limits threads of linear algebra itself (`extras.part_of_study`); none at all start faster
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # a kill unwinds like an error, so that a half-written output is removed
     for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _terminated)
+        signal.signal(number, lambda number, _frame: sys.exit(128 + number))
     # imports create many objects and little garbage
     gc.set_threshold(50_000)
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as in the background of a shell

@@ -1,6 +1,6 @@
-"""Parameters of other programs: variances for robot_localization, alphas for nav2, multipliers for ros2_control.
+"""Parameters of other programs: variances for robot_localization, alphas for nav2, wheels for ros2_control and Gazebo.
 
-As numbers, and as YAML with comments on the effects that they cannot represent; docs/export.md derives each formula.
+As numbers, and as YAML or SDF with comments on what they cannot represent; docs/export.md derives each formula.
 **amcl scales the variance of one update by its squared motion** (Probabilistic Robotics ch. 5.4), with rot1 = 0 on the
 spot and rot1 = rot2 = half the turn along an arc.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import textwrap
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -21,9 +21,8 @@ from odomcorrupt.geometry.se2 import Increments
 from odomcorrupt.model.noise_laws import variances
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
-    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model.motion_model import MotionModel, Noise
 
 
@@ -58,21 +57,16 @@ class MessageNoise:
 
 def message_noise(noise: Noise, drive: Steady) -> MessageNoise:
     """Return the variances of one message; those of a law with a step are divided evenly over the step's messages."""
-    share = 1.0
+    k, share = noise.coefficients, 1.0
     dt_s = 1.0 / drive.rate_hz
     moved, turned = drive.speed * dt_s, drive.yaw_rate * dt_s
     if noise.step is not None:
         # a step ends at its distance or at its angle, whichever comes first
-        share = max(moved / noise.step.distance_m, turned / noise.step.angle_rad)
-        if share == 0.0:
-            share, moved, turned = 1.0, 0.0, 0.0
-        else:
-            moved, turned = moved / share, turned / share
-        half = np.array([turned / 2.0])
-        v = noise.law.rule(noise.coefficients, half, np.array([moved]), half)
+        share = max(moved / noise.step.distance_m, turned / noise.step.angle_rad) or 1.0
+        half = np.array([turned / share / 2.0])
+        v = noise.law.rule(k, half, np.array([moved / share]), half)
     else:
-        v = variances(noise.law, noise.coefficients, Increments(np.array([moved]), np.zeros(1), np.array([turned])))
-    k = noise.coefficients
+        v = variances(noise.law, k, Increments(np.array([moved]), np.zeros(1), np.array([turned])))
     white = (k.white_omega * dt_s) ** 2 + k.rot_time**2 * dt_s
     return MessageNoise(
         heading=share * float(v.rot1[0] + v.rot2[0]) + white,
@@ -100,7 +94,7 @@ Turn = Literal["rolling", "spot"]
 
 
 def amcl_alphas(
-    noise: Noise, update_min_d: float, update_min_a: float, *, turn: Turn = "rolling", drive: Steady
+    noise: Noise, update_min_d: float, update_min_a: float, *, turn: Turn = "rolling", drive: Steady, omni: bool = False
 ) -> dict[str, float]:
     """Return the amcl alphas with the model's variances after one update, for a straight drive and for a turn.
 
@@ -109,6 +103,7 @@ def amcl_alphas(
     update_min_d, update_min_a : distance (m) and angle (rad) after which amcl updates its particles
     turn : whether the reference turn is along an arc (`rolling`) or on the spot
     drive : speeds of the straight drive and of the turn, and the odometry's rate, for noise that depends on these
+    omni : whether they are of the omnidirectional motion model, which has one rotation per update
     """
     if not (update_min_d > 0.0 and update_min_a > 0.0):
         raise ModelError(
@@ -121,21 +116,14 @@ def amcl_alphas(
     turning = message_noise(noise, Steady(0.0, drive.yaw_rate, drive.rate_hz))
     per_d2 = update_min_d * drive.rate_hz / drive.speed / update_min_d**2
     per_a2 = update_min_a * drive.rate_hz / drive.yaw_rate / update_min_a**2
-    # unless the noise acts along the travel: on a straight line, heading noise is drawn twice (rot1, rot2), and a
-    # rolling turn is divided into two halves
-    twice = 1.0 if noise.law.along_travel else 2.0
+    # differential: on a straight line, heading noise is drawn twice (rot1, rot2), and a rolling turn has two halves
+    twice = 1.0 if omni else 2.0
     halves = twice if turn == "rolling" else 1.0
     alphas = (
         halves * turning.heading * per_a2, straight.heading * per_d2 / twice, straight.along * per_d2,
         halves * turning.along * per_a2, straight.across * per_d2,
     )  # fmt: skip
     return {f"alpha{i}": alpha for i, alpha in enumerate(alphas, start=1)}
-
-
-def depends_on_rate(noise: Noise) -> bool:
-    """Return whether the growth of the noise depends on the message rate and the speeds."""
-    k = noise.coefficients
-    return bool((noise.law.per_step and noise.step is None) or k.white_v or k.white_omega or k.rot_time)
 
 
 WHEEL_EFFECTS = frozenset({WheelScale.name, UnequalWheels.name, Wheelbase.name})
@@ -183,10 +171,10 @@ _WIDTH = 80
 
 @dataclass(frozen=True, slots=True)
 class Snippet:
-    """Parameters of another program as YAML with comments.
+    """Parameters of another program as YAML, or as SDF, with comments.
 
     comments : assumptions, and why effects are left out
-    lines : YAML without these
+    lines : YAML or SDF without these
     values : parameters by name
     left_out : names of the effects that the program cannot represent
     """
@@ -198,12 +186,20 @@ class Snippet:
 
     @property
     def text(self) -> str:
-        """Comments and YAML."""
-        wrapper = textwrap.TextWrapper(_WIDTH, initial_indent="# ", subsequent_indent="# ", break_on_hyphens=False)
-        return "\n".join([*(line for one in self.comments for line in wrapper.wrap(one)), *self.lines])
+        """Comments and YAML or SDF."""
+        mark = "" if self._sdf else "# "
+        wrapper = textwrap.TextWrapper(_WIDTH, initial_indent=mark, subsequent_indent=mark, break_on_hyphens=False)
+        comments = [line for one in self.comments for line in wrapper.wrap(one)]
+        return "\n".join([*(["<!--", *comments, "-->"] if self._sdf else comments), *self.lines])
+
+    @property
+    def _sdf(self) -> bool:
+        return self.lines[0].startswith("<")
 
     def condensed(self) -> str:
-        """Return the YAML in flow style, with one comment that names the effects it cannot express."""
+        """Return the SDF, or the YAML in flow style with one comment that names the effects it cannot express."""
+        if self._sdf:
+            return "\n".join(self.lines)
         left = self.left_out
         said = f"# not expressed: {', '.join(left)} (-v says why)" if left else "# -v says what these numbers assume"
         lines = [said if len(said) <= _WIDTH else "# some effects are not expressed: -v names them"]
@@ -218,68 +214,131 @@ class Snippet:
         return "\n".join(lines).replace("\0", " ")
 
 
-def wheels_snippet(model: MotionModel, track_m: float | None, controller: str) -> Snippet:
-    """Return the multipliers as parameters of diff_drive_controller."""
+class Base(NamedTuple):
+    """Nominal dimensions of a base, m: between left and right wheels, between the axles, radius; None if unknown."""
+
+    track: float | None = None
+    wheelbase: float | None = None
+    radius: float | None = None
+
+
+def is_omni(model: MotionModel) -> bool:
+    """Return whether the model is of a base that drives sideways, as one with mecanum wheels."""
+    return model.noise.law.along_travel or model.setup.drive_type == "omni"
+
+
+def gazebo_snippet(model: MotionModel, base: Base) -> Snippet:
+    """Return the drive plugin of Gazebo whose odometry errs as the robot's does.
+
+    base : dimensions of the simulated robot
+
+    Raises
+    ------
+    ModelError
+        If a dimension is unknown, or a wheel's size would not be positive.
+    """
+    track, wheelbase, radius = _known(model, base, "gazebo: the plugin")
+    separation, *radii = wheel_multipliers(model, track).values()
+    mean = 0.5 * sum(radii)
+    comments = ["The plugin computes odometry with these dimensions; the robot rolls on its links (docs/export.md)."]
+    if radii[0] != radii[1]:
+        left, right = (number(radius * own / mean) for own in radii)
+        comments.append(f"The plugin has one radius: make the left wheel's collision {left} m, the right's {right} m.")
+    values = {"wheel_separation": track / separation, "wheel_radius": radius / mean}
+    plugin = ("diff-drive", "DiffDrive")
+    if is_omni(model):
+        values["wheelbase"] = wheelbase / separation
+        plugin = ("mecanum-drive", "MecanumDrive")
+    lines = [
+        f'<plugin filename="gz-sim-{plugin[0]}-system" name="gz::sim::systems::{plugin[1]}">',
+        *(f"  <{name}>{number(value)}</{name}>" for name, value in values.items()),
+        "</plugin>",
+    ]
+    return _snippet(model, comments, lines, values, _CONSTANTS, WHEEL_EFFECTS)
+
+
+def wheels_snippet(model: MotionModel, base: Base, controller: str) -> Snippet:
+    """Return the true dimensions as parameters of diff_drive_controller or, of an omni base, mecanum_drive_controller.
+
+    The first takes multipliers of its dimensions, the second the dimensions.
+    """
     assumed = (
         "True over nominal wheel radii and track. They replace multipliers of 1; multiply them by others that were "
-        "set when the odometry was recorded. They act on the wheel commands, too. Derived in docs/export.md."
     )
-    comments = [assumed]
-    gyro = tuple(effect.name for effect in model.effects if effect.name == "gyro_scale" and effect.acts)
-    if gyro:
+    represented = WHEEL_EFFECTS
+    if is_omni(model):
+        track, wheelbase, radius = _known(model, base, "ros2_control: mecanum_drive_controller")
+        separation, *radii = wheel_multipliers(model, track).values()
+        values = {
+            "kinematics.wheels_radius": 0.5 * sum(radii) * radius,
+            "kinematics.sum_of_robot_center_projection_on_X_Y_axis": 0.5 * (track + wheelbase) * separation,
+        }
+        represented -= {UnequalWheels.name}
+        assumed = "True dimensions, if --wheel-radius, --track and --wheelbase are those that were "
+    else:
+        values = wheel_multipliers(model, base.track)
+    comments = [
+        f"{assumed}set when the odometry was recorded. They act on the wheel commands, too. Derived in docs/export.md."
+    ]
+    if any(effect.name == "gyro_scale" and effect.acts for effect in model.effects):
         comments.append(
             "gyro_scale is left out: it is the gain of a heading sensor. Where the heading comes from the wheels it "
             "is wheelbase under another name; call it so in the model file, then it is exported."
         )
-    left = [effect for effect in model.effects if effect.acts and effect.name not in WHEEL_EFFECTS | {"gyro_scale"}]
-    comments += _reasons(left, "the controller's parameters are constants of the wheels")
-    values = wheel_multipliers(model, track_m)
-    lines = (f"{controller}:", "  ros__parameters:", *(f"    {name}: {number(v)}" for name, v in values.items()))
-    return Snippet(tuple(comments), lines, values, (*gyro, *(effect.name for effect in left)))
+    lines = [f"{controller}:", "  ros__parameters:", *(f"    {name}: {number(v)}" for name, v in values.items())]
+    return _snippet(model, comments, lines, values, _CONSTANTS, represented)
+
+
+def _known(model: MotionModel, base: Base, program: str) -> tuple[float, float, float]:
+    """Return track, wheelbase and radius, m; the wheelbase is that of an omni base alone, else 0."""
+    track = base.track if base.track is not None else model.track_m
+    omni = is_omni(model)
+    wheelbase = base.wheelbase if omni else 0.0
+    if track is None or base.radius is None or wheelbase is None:
+        needed = "--track, --wheelbase and --wheel-radius" if omni else "--track and --wheel-radius"
+        raise ModelError(f"{program} takes dimensions, not multipliers; give {needed}")
+    return track, wheelbase, base.radius
 
 
 def amcl_snippet(model: MotionModel, update_min_d: float, update_min_a: float, turn: Turn, drive: Steady) -> Snippet:
     """Return the alphas, and the update distances at which they apply, as parameters of amcl."""
     reference = "while rolling along an arc" if turn == "rolling" else "on the spot"
+    noise, omni = model.noise, is_omni(model)
     assumed = (
-        f"amcl's alphas (variance = alpha x motion^2 per update) with the variances of {model.noise.words}; "
+        f"amcl's alphas (variance = alpha x motion^2 per update) with the variances of {noise.words}; "
         f"matched after one update on a straight drive of {update_min_d:g} m and on a turn of {update_min_a:g} rad "
         f"{reference}. They are valid at these update distances only. Derived in docs/export.md."
     )
-    comments, noise = [assumed], model.noise
-    values = amcl_alphas(noise, update_min_d, update_min_a, turn=turn, drive=drive)
-    if depends_on_rate(noise):
+    comments = [assumed]
+    values = amcl_alphas(noise, update_min_d, update_min_a, turn=turn, drive=drive, omni=omni)
+    if noise.per_message or noise.coefficients.rot_time:
         comments.append(
             f"The model's noise depends on the message rate: assumed are {drive.speed:g} m/s, "
             f"{drive.yaw_rate:g} rad/s and {drive.rate_hz:g} Hz (--speed, --turn-rate, --rate)."
         )
-    if values["alpha5"] and not noise.law.along_travel:
+    if values["alpha5"] and not omni:
         comments.append("Noise across the travel is left out: amcl's differential model does not read alpha5.")
-    left = [effect for effect in model.effects if effect.acts]
-    comments += _reasons(left, "amcl assumes unbiased odometry with independent noise")
     values |= {"update_min_d": update_min_d, "update_min_a": update_min_a}
-    lines = (
+    lines = [
         "amcl:",
         "  ros__parameters:",
-        f'    robot_model_type: "nav2_amcl::{"Omni" if noise.law.along_travel else "Differential"}MotionModel"',
+        f'    robot_model_type: "nav2_amcl::{"Omni" if omni else "Differential"}MotionModel"',
         *(f"    {name}: {number(value)}" for name, value in values.items()),
-    )
-    return Snippet(tuple(comments), lines, values, tuple(effect.name for effect in left))
+    ]
+    return _snippet(model, comments, lines, values, "amcl assumes unbiased odometry with independent noise")
 
 
 def twists_snippet(model: MotionModel, drive: Steady, controller: str) -> Snippet:
     """Return the covariance diagonals for the odometry's publisher, and the filter's input configuration."""
     forward, leftward, yaw = twist_variances(model.noise, drive)
     diagonal = (forward, leftward, _UNKNOWN, _UNKNOWN, _UNKNOWN, yaw)
-    left = [effect for effect in model.effects if effect.acts]
     assumed = (
         f"Variances of the velocities in one message at {drive.speed:g} m/s, {drive.yaw_rate:g} rad/s and "
         f"{drive.rate_hz:g} Hz, of {model.noise.words}. robot_localization reads them from the odometry's "
         f"messages, so they go to the node that publishes these; {number(_UNKNOWN)} stands for what is not measured. "
         "They are valid at this speed and rate only. Derived in docs/export.md."
     )
-    comments = [assumed, *_reasons(left, "the filter assumes unbiased odometry with independent noise")]
-    lines = (
+    lines = [
         f"{controller}:",
         "  ros__parameters:",
         "    twist_covariance_diagonal:",
@@ -291,24 +350,33 @@ def twists_snippet(model: MotionModel, drive: Steady, controller: str) -> Snippe
         "    odom0_config: [false, false, false, false, false, false,",
         "                   true, true, false, false, false, true,",
         "                   false, false, false]",
-    )
+    ]
     values = {f"twist_covariance_diagonal[{i}]": value for i, value in enumerate(diagonal)}
-    return Snippet(tuple(comments), lines, values, tuple(effect.name for effect in left))
+    return _snippet(model, [assumed], lines, values, "the filter assumes unbiased odometry with independent noise")
 
 
-def _reasons(left: Sequence[Effect], why: str) -> list[str]:
-    """Return in sentences why effects cannot be represented."""
-    systematic = [effect.name for effect in left if effect.kind != "noise"]
-    random = [effect.name for effect in left if effect.kind == "noise"]
-    sentences = []
+_CONSTANTS = "its parameters are constants of the wheels"
+
+
+def _snippet(
+    model: MotionModel,
+    comments: list[str],
+    lines: list[str],
+    values: Mapping[str, float],
+    why: str,
+    represented: frozenset[str] = frozenset(),
+) -> Snippet:
+    """Return the parameters with a comment on the effects that they cannot represent, all but `represented`."""
+    left = [effect for effect in model.effects if effect.acts and effect.name not in represented]
+    systematic = ", ".join(effect.name for effect in left if effect.kind != "noise")
+    random = ", ".join(effect.name for effect in left if effect.kind == "noise")
     if systematic:
-        sentences.append(
-            f"Cannot be expressed here ({why}): {', '.join(systematic)}. `odomcorrupt correct` takes it out of a "
-            "recording."
+        comments.append(
+            f"Cannot be expressed here ({why}): {systematic}. `odomcorrupt correct` takes it out of a recording."
         )
     if random:
-        sentences.append(f"Cannot be expressed here, nor be corrected, because it is random: {', '.join(random)}.")
-    return sentences
+        comments.append(f"Cannot be expressed here, nor be corrected, because it is random: {random}.")
+    return Snippet(tuple(comments), tuple(lines), values, tuple(effect.name for effect in left))
 
 
 def number(value: float) -> str:

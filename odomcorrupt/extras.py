@@ -18,27 +18,24 @@ if TYPE_CHECKING:
 _EXTRAS = {
     "matplotlib": ("pictures need it", "study"),
     "pandas": ("tables need it", "pandas"),
-    "scipy": ("the study needs it", "study"),
+    "scipy": ("the study needs it, and a sweep over ranges", "study"),
     "threadpoolctl": ("the study needs it", "study"),
 }
 """Purposes of optional libraries, and the extras of this package that include them."""
 
 
-def require(library: str, purpose: str = "") -> None:
-    """Import an optional library; if it is missing, raise an error with the command to install it.
-
-    library : name of the module
-    purpose : purpose of the library, if it is not the usual one, as in "pictures need it"
+def require(library: str) -> None:
+    """Import an optional library by the name of its module.
 
     Raises
     ------
     OdomCorruptError
-        If it is not installed.
+        If it is not installed, with the command to install it.
     """
     try:
         __import__(library)
     except ImportError as error:
-        raise _missing(library, purpose) from error
+        raise _missing(library) from error
 
 
 def part_of_study(function: Callable[P, T]) -> Callable[P, T]:
@@ -64,8 +61,8 @@ def explained(error: ImportError) -> ImportError | OdomCorruptError:
     return _missing(library) if library in _EXTRAS else error
 
 
-def _missing(library: str, purpose: str = "") -> OdomCorruptError:
-    usual, extra = _EXTRAS[library]
+def _missing(library: str) -> OdomCorruptError:
+    purpose, extra = _EXTRAS[library]
     return OdomCorruptError(
-        f'{library} is not installed; {purpose or usual}: in a copy of the repository, pip install ".[{extra}]"'
+        f'{library} is not installed; {purpose}: in a copy of the repository, pip install ".[{extra}]"'
     )

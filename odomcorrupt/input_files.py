@@ -45,18 +45,15 @@ def open_input(path: Path, error: type[Exception] = OdomCorruptError) -> BinaryI
     try:
         # checked before opening: opening alone triggers some devices, and blocks until a pipe has a writer
         if stat.S_ISREG(mode := path.stat().st_mode):
-            stream = open(path, "rb", opener=_open_at_once)  # noqa: SIM115 - Path has no opener
+            # it may have been replaced by a pipe since: that would wait for a writer
+            at_once = getattr(os, "O_NONBLOCK", 0)
+            stream = open(path, "rb", opener=lambda name, flags: os.open(name, flags | at_once))  # noqa: SIM115
             if stat.S_ISREG(mode := os.fstat(stream.fileno()).st_mode):
                 return stream
             stream.close()
     except (OSError, ValueError) as failure:  # ValueError: a name with a zero byte
         raise error(f"{path}: cannot be read: {getattr(failure, 'strerror', None) or failure}") from failure
     raise error(f"{path}: is {_KINDS.get(stat.S_IFMT(mode), 'no file')}; name a regular file")
-
-
-def _open_at_once(path: str, flags: int) -> int:
-    """Open without blocking, because the file may have been replaced by a pipe."""
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def read_input(path: Path, most: int, what: str, error: type[Exception] = OdomCorruptError) -> bytes:

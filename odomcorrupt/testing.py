@@ -201,10 +201,8 @@ def _check_cuts(effect: Effect) -> None:
             same = np.array_equal(np.concatenate(pieces), whole)
             _require(same, effect, f"differs where a motion is cut into pieces of {size}: carry it in the state")
     whole_path = _path([effect]).feed(drive.stamps_ns, drive.xyt).error_xyt
-    path = _path([effect])
-    cut = [
-        path.feed(drive.stamps_ns[i : i + 41], drive.xyt[i : i + 41]).error_xyt for i in range(0, len(drive.xyt), 41)
-    ]
+    path, blocks = _path([effect]), [slice(i, i + 41) for i in range(0, len(drive.xyt), 41)]
+    cut = [path.feed(drive.stamps_ns[block], drive.xyt[block]).error_xyt for block in blocks]
     _require(np.array_equal(np.concatenate(cut), whole_path), effect, "a bag's corruption depends on its blocks")
 
 
@@ -266,16 +264,14 @@ def _check_moments(effect: Effect) -> None:
     drive = contract_drive(6.0, 100.0)
     motion, steps = drive.motion, _steps(drive)
     moments = effect.moments(motion)
-    _require(moments is not None, effect, "draws, but states no moments")
     if moments is None:
-        return
+        raise ContractError(f"effect {effect.name}: draws, but states no moments")
     samples = []
+    dt = motion.dt_s[:, None]
     for run in range(_RUNS):
         state = effect.start(stream(1, run, effect.name))
         f = effect.twist_error(motion, state).f
-        reported = effect.recorded(steps, motion.t_s, TRACK_M, state).steps
-        lost = steps - reported
-        dt = motion.dt_s[:, None]
+        lost = steps - effect.recorded(steps, motion.t_s, TRACK_M, state).steps
         samples.append(f + np.divide(lost, dt, out=np.zeros_like(lost), where=dt > 0.0))
     # a few rows far apart: neighbouring rows are correlated
     rows = np.linspace(5, len(motion) - 1, 24).astype(int)

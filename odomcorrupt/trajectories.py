@@ -1,4 +1,4 @@
-"""Whole trajectories of a bag: its odometry, other poses, and odometry integrated from velocities, with its error."""
+"""Whole trajectories of a bag: its odometry, other poses, and odometry integrated from velocities."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from odomcorrupt.bags.messages import TRANSFORMS, Item, Layout, gather, locate, scatter, stamps_or_log_ns
+from odomcorrupt.bags.messages import TRANSFORMS, gather, locate, scatter, stamps_or_log_ns
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.corruption.odometry_source import ODOMETRY, Frames, find_odometry, plain, side_of, tree_of
 from odomcorrupt.corruption.se2_on_se3 import from_left, from_right, poses_in
 from odomcorrupt.errors import ModelError, RecordingError, TopicError
-from odomcorrupt.geometry.se2 import compose, interpolate, inverse, wrap, yaw_from_quaternion
+from odomcorrupt.geometry.se2 import compose, inverse, yaw_from_quaternion
 from odomcorrupt.geometry.trajectory import Trajectory, distance_along
 from odomcorrupt.rng import stream
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import BagReader, Block, Channel
+    from odomcorrupt.bags.block import BagReader, Channel
     from odomcorrupt.geometry.se2 import Array
 
 
@@ -89,7 +89,8 @@ def read_poses(path: Path, topic: str) -> Trajectory:
     with open_reader(path) as reader:
         channels = [c for c in reader.channels.values() if plain(c.topic) == plain(topic)]
         if not channels:
-            raise TopicError(f"{reader.name}: no topic {topic} (found {_topics(reader)}); name another one")
+            found = ", ".join(sorted({c.topic for c in reader.channels.values()})) or "nothing"
+            raise TopicError(f"{reader.name}: no topic {topic} (found {found}); name another one")
         if channels[0].msgtype not in POSES:
             raise TopicError(f"{reader.name}: {topic} is a {channels[0].msgtype}; poses are {', '.join(POSES)}")
         return _drive(reader, channels, topic).trajectory
@@ -100,10 +101,6 @@ def find_truth(path: Path) -> str | None:
     with open_reader(path) as reader:
         named = {c.topic for c in reader.channels.values() if c.msgtype in POSES and "truth" in c.topic}
     return named.pop() if len(named) == 1 else None
-
-
-def _topics(reader: BagReader) -> str:
-    return ", ".join(sorted({c.topic for c in reader.channels.values()})) or "nothing"
 
 
 def _drive(reader: BagReader, channels: list[Channel], topic: str) -> Drive:
@@ -117,9 +114,8 @@ def _drive(reader: BagReader, channels: list[Channel], topic: str) -> Drive:
                 frames = frames or (item.frame_id, item.child_frame_id)
                 xy = gather(block, layout, item, "position")[:, :2]
                 yaw = yaw_from_quaternion(gather(block, layout, item, "orientation"))
-                twist = np.zeros((len(yaw), 3))
-                if "twist" in item.fields:
-                    twist = gather(block, layout, item, "twist")[:, [0, 1, 5]]
+                has_twist = "twist" in item.fields
+                twist = gather(block, layout, item, "twist")[:, [0, 1, 5]] if has_twist else np.zeros((len(yaw), 3))
                 parts.append((stamps_or_log_ns(block, layout, layout.items[0]), np.column_stack((xy, yaw, twist))))
     stamps, numbers = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     good = np.isfinite(numbers).all(axis=1)
@@ -127,62 +123,17 @@ def _drive(reader: BagReader, channels: list[Channel], topic: str) -> Drive:
     kept, index = np.unique(stamps[good][::-1], return_index=True)
     if len(kept) < 2:
         raise RecordingError(f"{reader.name}: {topic} holds {len(kept)} usable messages; it takes two or more")
-    notes = []
-    if len(kept) < len(stamps):
-        unusable = int(np.count_nonzero(~good))
-        notes.append(
-            f"{topic}: {unusable} messages without numbers and {int(good.sum()) - len(kept)} duplicates left out"
-        )
+    unusable, repeated = int(np.count_nonzero(~good)), int(good.sum()) - len(kept)
+    notes = [f"{topic}: {unusable} messages without numbers and {repeated} duplicates left out"]
     numbers = numbers[good][::-1][index]
     xyt = numbers[:, :3].copy()
     xyt[:, 2] = np.unwrap(xyt[:, 2])
     frame, child = frames or ("", "")
-    return Drive(topic, frame, child, kept, xyt, numbers[:, 3:].copy(), tuple(notes))
-
-
-@dataclass(frozen=True, slots=True)
-class PathError:
-    """A path and the truth at n common stamps, aligned at the first of them.
-
-    t_s : (n,) seconds since the path's first stamp
-    path_xyt, truth_xyt : (n, 3) in the truth's frame
-    """
-
-    t_s: Array
-    path_xyt: Array
-    truth_xyt: Array
-
-    @property
-    def position_m(self) -> Array:
-        """Position error (n,), metres."""
-        return np.hypot(*(self.path_xyt - self.truth_xyt)[:, :2].T)
-
-    @property
-    def heading_rad(self) -> Array:
-        """Heading error (n,), path minus truth, radians."""
-        return wrap(self.path_xyt[:, 2] - self.truth_xyt[:, 2])
-
-
-def path_error(stamps_ns: NDArray[np.int64], xyt: Array, truth: Trajectory) -> PathError | None:
-    """Return a path (n, 3) and the truth at common stamps; None if they do not overlap in time.
-
-    The truth is interpolated at the path's stamps. Only the first common pose is aligned: an alignment over the whole
-    path would hide part of the error.
-    """
-    shared = (stamps_ns >= truth.stamps_ns[0]) & (stamps_ns <= truth.stamps_ns[-1])
-    if np.count_nonzero(shared) < 2:
-        return None
-    origin = int(stamps_ns[0])
-    t_s = (stamps_ns[shared] - origin) * np.float64(1e-9)
-    true = truth.at(t_s, origin)
-    own = xyt[shared]
-    return PathError(t_s, compose(compose(true[0], inverse(own[0])), own), true)
+    return Drive(topic, frame, child, kept, xyt, numbers[:, 3:], tuple(notes) if len(kept) < len(stamps) else ())
 
 
 Rule = Literal["euler", "midpoint", "exact"]
 Hold = Literal["next", "previous"]
-
-RULES: tuple[Rule, ...] = get_args(Rule)
 
 
 def integrate(start_xyt: Array, twist: Array, t_s: Array, rule: Rule, *, hold: Hold = "next") -> Array:
@@ -195,10 +146,9 @@ def integrate(start_xyt: Array, twist: Array, t_s: Array, rule: Rule, *, hold: H
         mid-interval (`midpoint`), or the circular arc (`exact`)
     hold : whether a twist holds from its stamp to the next one (`next`), or from the previous one to its own
     """
-    if rule not in RULES:
-        raise ModelError(f"rule {rule}: is not one of {', '.join(RULES)}")
-    if hold not in get_args(Hold):
-        raise ModelError(f"hold {hold}: is not one of {', '.join(get_args(Hold))}")
+    for name, word, words in (("rule", rule, get_args(Rule)), ("hold", hold, get_args(Hold))):
+        if word not in words:
+            raise ModelError(f"{name} {word}: is not one of {', '.join(words)}")
     held = twist[..., :-1, :] if hold == "next" else twist[..., 1:, :]
     step = held * np.diff(t_s)[:, None]
     turn = step[..., 2]
@@ -249,12 +199,13 @@ def rewrite_path(
     TF edges of the odom frame are moved accordingly, at their own stamps. z, roll and pitch, and all other bytes, are
     kept.
     """
-    correction = compose(xyt, inverse(drive.xyt))
+    origin_ns = int(drive.stamps_ns[0])
+    correction = Trajectory(drive.stamps_ns, compose(xyt, inverse(drive.xyt)))
     frames = Frames(plain(drive.frame_id), plain(drive.child_frame_id) or None)
     messages = transforms = 0
     with open_reader(source) as reader, open_writer(target, reader, overwrite=overwrite) as writer:
-        odometry = {c.id for c in reader.channels.values() if c.msgtype == ODOMETRY and c.topic == drive.topic}
         every = reader.channels.values()
+        odometry = {c.id for c in every if c.msgtype == ODOMETRY and c.topic == drive.topic}
         tree = tree_of(drive.topic, every)
         channels = [
             c for c in every if c.id in odometry or (c.msgtype in TRANSFORMS and tree_of(c.topic, every) == tree)
@@ -267,24 +218,13 @@ def rewrite_path(
                         side = "left" if own else side_of(item.frame_id, item.child_frame_id, frames)
                         if side is None:
                             continue
-                        at = _at(stamps_or_log_ns(block, layout, item), drive, correction)
-                        _move(block, layout, item, at, right=side == "right")
+                        stamps_ns = np.clip(stamps_or_log_ns(block, layout, item), origin_ns, drive.stamps_ns[-1])
+                        at = correction.at((stamps_ns - origin_ns) * np.float64(1e-9), origin_ns)
+                        moved = (from_left if side == "left" else from_right)(at, poses_in(block, layout, item))
+                        scatter(block, layout, item, "position", moved.position)
+                        scatter(block, layout, item, "orientation", moved.quat_xyzw)
                         messages += len(layout.rows) * own
                         transforms += len(layout.rows) * (not own)
             writer.write(block)
         writer.provenance("odomcorrupt", provenance)
     return Rewritten(messages, transforms)
-
-
-def _at(stamps_ns: NDArray[np.int64], drive: Drive, correction_xyt: Array) -> Array:
-    """Return the correction (m, 3) at stamps (m,), constant before and after the drive."""
-    inside = np.clip(stamps_ns, drive.stamps_ns[0], drive.stamps_ns[-1])
-    left = np.minimum(np.searchsorted(drive.stamps_ns, inside, side="right") - 1, len(drive) - 2)
-    span = drive.stamps_ns[left + 1] - drive.stamps_ns[left]
-    return interpolate(correction_xyt[left], correction_xyt[left + 1], (inside - drive.stamps_ns[left]) / span)
-
-
-def _move(block: Block, layout: Layout, item: Item, correction_xyt: Array, *, right: bool) -> None:
-    moved = (from_right if right else from_left)(correction_xyt, poses_in(block, layout, item))
-    scatter(block, layout, item, "position", moved.position)
-    scatter(block, layout, item, "orientation", moved.quat_xyzw)

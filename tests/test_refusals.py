@@ -69,8 +69,8 @@ REFUSED = {
 }
 PIPES = {
     "sample -": "-: the whole drive is read first, which is impossible on a pipe; name a file",
-    "map -": "-: a map is made from the whole drive, which is impossible on a pipe; name a file",
-    "integrate -": "-: integration reads the whole drive first, which is impossible on a pipe; name files",
+    "map -": "-: the whole drive is read first, which is impossible on a pipe; name a file",
+    "integrate -": "-: the whole drive is read first, which is impossible on a pipe; name a file",
     "info -": "INPUT is - but stdin is a terminal; redirect a bag to it",
     "- out.mcap": "INPUT is - but stdin is a terminal; redirect a bag to it",
     "correct - out.mcap --effect gyro_bias:b=0.1": "correction reads a bag twice",

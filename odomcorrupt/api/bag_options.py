@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 
 from odomcorrupt.corruption.run import Container
 from odomcorrupt.corruption.transform import Options
+from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.mapping.conditioned import read_condition
 from odomcorrupt.sensors.noise import read_imu
 
@@ -84,6 +85,13 @@ def split_options(options: BagOptions) -> tuple[Options, Container]:
 def bag_path(path: str | PathLike[str]) -> Path | None:
     """Return a path, or None for "-" (a pipe)."""
     return None if fspath(path) == "-" else Path(fspath(path))
+
+
+def drive_path(bag: str | PathLike[str]) -> Path:
+    """Return the path of a bag that is read before anything is written; raise OdomCorruptError for "-" (a pipe)."""
+    if fspath(bag) == "-":
+        raise OdomCorruptError("-: the whole drive is read first, which is impossible on a pipe; name a file")
+    return Path(fspath(bag))
 
 
 def as_condition(within: MapCondition | str | PathLike[str] | None) -> MapCondition | None:

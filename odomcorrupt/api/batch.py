@@ -75,13 +75,15 @@ class Batch(Result):
         return [directory / record["file"] for directory, record in self._records()]
 
     def _records(self) -> list[tuple[Path, dict[str, Any]]]:
-        directories = [job.directory for job in self.jobs]
-        return [(path, record) for path in directories for _, record in sorted(read_records(path).items())]
+        return [(job.directory, record) for job in self.jobs for record in read_records(job.directory).values()]
 
     @property
     def losses(self) -> tuple[str, ...]:
         """Unreadable parts of damaged inputs, without repetition."""
-        return tuple(dict.fromkeys(loss for record in self.records for loss in record.get("losses", ())))
+        return self._said("losses")
+
+    def _said(self, key: str) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(said for record in self.records for said in record.get(key, ())))
 
     def __len__(self) -> int:
         return len(self.records)
@@ -100,7 +102,8 @@ class Batch(Result):
         if self.failures:
             first, reason = self.failures[0]
             lines.append(Line("failed", f"{len(self.failures)} runs, tried twice; run {first}: {reason}", "bad"))
-        lines += [Line("lost", loss, "warning") for loss in self.losses]
+        for label, key in (("lost", "losses"), ("note", "remarks")):
+            lines += [Line(label, said, "warning") for said in self._said(key)]
         # a sweep has a spread at each of its points; one run has none
         words = ("odomcorrupt", "spread", self.directory / names[0]) if len(records) > len(self.jobs) else ()
         return Summary((*lines, command_line(words)), MOST_LINES + len(drifts))
@@ -112,7 +115,7 @@ class Batch(Result):
             first, reason = self.failures[0]
             names = ", ".join([*(str(run) for run, _ in self.failures[:8]), *["..."] * (len(self.failures) > 8)])
             said += f" Not made, tried twice: {len(self.failures)} runs ({names}); run {first}: {reason}"
-        return said + "".join(f" Lost: {loss}." for loss in self.losses)
+        return " ".join([said, *(f"Lost: {loss}." for loss in self.losses), *(f"{r}." for r in self._said("remarks"))])
 
     def _values(self) -> dict[str, Any]:
         return {

@@ -35,8 +35,7 @@ class EffectList(Result):
     def summary(self) -> Summary:
         """Return the names by kind."""
         kinds = self.kinds.values()
-        names = {label: ", ".join(k.name for k in kinds if k.kind == kind) for kind, label in _FAMILIES.items()}
-        lines = [Line(label, text) for label, text in names.items()]
+        lines = [Line(label, ", ".join(k.name for k in kinds if k.kind == kind)) for kind, label in _FAMILIES.items()]
         return Summary((*lines, command_line("odomcorrupt effects NAME, or -v for all in words")), most=20)
 
     def details(self) -> str:
@@ -89,7 +88,7 @@ class EffectDescription(Result):
             lines.append(f"  {p.name:<12} {p.meaning}; {typical}")
         lines += [f"  {word:<12} {' or '.join(options)}" for word, options in choices(kind).items()]
         if kind.needs_track:
-            track = ", or its parameter track" if any(p.name == "track" for p in own) else ""
+            track = ", or its parameter track" * any(p.name == "track" for p in own)
             lines.append(f"  needs the distance between the wheels: --track, or [robot] track in a model file{track}")
         if kind.drives is not None:
             lines.append(f"  for the drive types {', '.join(sorted(kind.drives))}")
@@ -99,8 +98,9 @@ class EffectDescription(Result):
             lines += ["", f"typical        {kind.about.typical}", f"source         {kind.about.source}"]
             lines += [f"confused with  {', '.join(kind.about.confused_with)}", f"shown by       {kind.about.drive}"]
         if kind.aliased_with is not None:
-            said = "the same motion; no recording of poses can separate them"
-            lines.append(f"alias          {kind.aliased_with}: {said}")
+            lines.append(
+                f"alias          {kind.aliased_with}: the same motion; no recording of poses can separate them"
+            )
         return "\n".join([*lines, "", _example(kind)])
 
     def _values(self) -> dict[str, Any]:

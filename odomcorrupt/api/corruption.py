@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Unpack
 
 import numpy as np
 
-from odomcorrupt.api.bag_options import BagOptions, as_condition, bag_path, split_options
+from odomcorrupt.api.bag_options import BagOptions, as_condition, bag_path, drive_path, split_options
 from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.bags.provenance import ProvenanceWatcher
@@ -302,9 +302,7 @@ def correct(
     >>> [effect.name for effect in done.outcome.effects.undone]
     ['wheelbase']
     """
-    before = bag_path(source)
-    if before is None:
-        raise OdomCorruptError("-: correction reads a bag twice, which is impossible on a pipe; name a file")
+    before = drive_path(source)
     moved, container = split_options(options)
     robot = NOISE_FREE if model is None else as_model(model).motion_model
     if start_xyt is None:

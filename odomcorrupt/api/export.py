@@ -1,4 +1,4 @@
-"""Numbers of a model as parameters of ros2_control, nav2 or robot_localization."""
+"""Numbers of a model as parameters of ros2_control, nav2, robot_localization or Gazebo."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from odomcorrupt.api.model import ModelLike
     from odomcorrupt.export import Snippet, Turn
 
-Target = Literal["ros2_control", "nav2", "robot_localization"]
+Target = Literal["ros2_control", "nav2", "robot_localization", "gazebo"]
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -79,26 +79,30 @@ def export_parameters(
     to: Target,
     *,
     track_m: float | None = None,
+    wheelbase_m: float | None = None,
+    wheel_radius_m: float | None = None,
     update_min_d: float = 0.25,
     update_min_a: float = 0.2,
     turn: Turn = "rolling",
     speed: float = 0.5,
     turn_rate: float = 0.5,
     rate: float = 50.0,
-    controller: str = "diff_drive_controller",
+    controller: str | None = None,
 ) -> Export:
-    """Return wheel multipliers, amcl's alphas, or covariances for robot_localization.
+    """Return wheel multipliers, amcl's alphas, covariances for robot_localization, or a drive plugin of Gazebo.
 
     Multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
 
     model : model of the robot, noise, model file or preset
-    to : "ros2_control", "nav2" or "robot_localization"
-    track_m : nominal distance between the wheels, metres; by default that of the model. Used by "ros2_control"
+    to : "ros2_control", "nav2", "robot_localization" or "gazebo"
+    track_m : nominal distance between left and right wheels, metres; by default that of the model
+    wheelbase_m, wheel_radius_m : distance between the axles of an omni base, and radius of the wheels, metres; for
+        "gazebo", and for "ros2_control" if the base is omni
     update_min_d, update_min_a : distance (m) and angle (rad) after which amcl updates its particles
     turn : turn on which amcl's noise is matched to the model's: "rolling" (along an arc) or on the "spot"
     speed, turn_rate, rate : speed (m/s) and turn rate (rad/s) at which the noise is evaluated, and rate of the
         odometry, Hz
-    controller : name of the node in the YAML
+    controller : name of the node in the YAML; by default that of the controller for this base
 
     Returns
     -------
@@ -119,13 +123,14 @@ def export_parameters(
     """
     robot = as_model(model).motion_model
     drive = export.Steady(speed, turn_rate, rate)
-    match to:
-        case "nav2":
-            snippet = export.amcl_snippet(robot, update_min_d, update_min_a, turn, drive)
-        case "robot_localization":
-            snippet = export.twists_snippet(robot, drive, controller)
-        case "ros2_control":
-            snippet = export.wheels_snippet(robot, track_m, controller)
-        case _:
-            raise ModelError(f"to: {to!r}; write ros2_control, nav2 or robot_localization")
-    return Export(Path(fspath(model)).name if isinstance(model, str | PathLike) else "model", to, snippet)
+    base = export.Base(track_m, wheelbase_m, wheel_radius_m)
+    node = controller or ("mecanum_drive_controller" if export.is_omni(robot) else "diff_drive_controller")
+    snippets = {
+        "nav2": lambda: export.amcl_snippet(robot, update_min_d, update_min_a, turn, drive),
+        "robot_localization": lambda: export.twists_snippet(robot, drive, node),
+        "ros2_control": lambda: export.wheels_snippet(robot, base, node),
+        "gazebo": lambda: export.gazebo_snippet(robot, base),
+    }
+    if to not in snippets:
+        raise ModelError(f"to: {to!r}; write one of {', '.join(snippets)}")
+    return Export(Path(fspath(model)).name if isinstance(model, str | PathLike) else "model", to, snippets[to]())

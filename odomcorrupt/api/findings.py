@@ -467,9 +467,8 @@ class Diagnosis(Findings):
     def summary(self) -> Summary:
         """Return the missing effects, their size and probability, and the gain of each."""
         found = self.result
-        brief = findings_brief(
-            found.search, found.advice, found.sequence, notes=self.recordings.notes, alerts=self.recordings.alerts
-        )
+        notes, alerts = self.recordings.notes, self.recordings.alerts
+        brief = findings_brief(found.search, found.advice, found.sequence, notes=notes, alerts=alerts)
         brief = mistakes_first(brief, self.recordings.mistakes)
         if all(run.positioned for run in self.recordings):
             return brief
@@ -551,16 +550,12 @@ class Learned(Findings):
     def summary(self) -> Summary:
         """Return the findings, their size and probability, and the held-out errors without and with them."""
         found = self.result
+        notes = replace(self.recordings, runs=tuple(found.recordings)).notes
         brief = findings_brief(
-            found.search,
-            found.advice,
-            found.comparison,
-            robot=found.robot,
-            reproduction=found.reproduction,
-            written=found.proof.model,
-            notes=(*found.dropped, *found.proof.changes, *replace(self.recordings, runs=tuple(found.recordings)).notes),
+            found.search, found.advice, found.comparison, robot=found.robot, reproduction=found.reproduction,
+            written=found.proof.model, notes=(*found.dropped, *found.proof.changes, *notes),
             alerts=(*found.alerts, *self.recordings.alerts),
-        )
+        )  # fmt: skip
         return mistakes_first(brief, self.recordings.mistakes)
 
     def details(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
@@ -9,18 +10,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from odomcorrupt.api.bag_options import drive_path
 from odomcorrupt.api.result import Result
-from odomcorrupt.errors import ModelError, OdomCorruptError, TopicError
+from odomcorrupt.errors import ModelError, TopicError
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.rng import draw_seed
+from odomcorrupt.scoring.errors import ScoreError, path_errors
 from odomcorrupt.summary import Line, Summary
-from odomcorrupt.trajectories import find_truth, noisy_twists, path_error, read_drive, read_poses, rewrite_path
+from odomcorrupt.trajectories import find_truth, noisy_twists, read_drive, read_poses, rewrite_path
 from odomcorrupt.trajectories import integrate as integrate_twists
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.trajectories import Drive, Hold, PathError, Rewritten, Rule
+    from odomcorrupt.scoring.errors import PathErrors
+    from odomcorrupt.trajectories import Drive, Hold, Rewritten, Rule
 
 _HELD = {"next": "until the next stamp", "previous": "since the previous stamp"}
 
@@ -49,8 +54,8 @@ class Integration(Result):
     twist_noise: tuple[float, float] | None
     seed: int | None
     truth_topic: str | None
-    truth_error: PathError | None
-    own_error: PathError | None
+    truth_error: PathErrors | None
+    own_error: PathErrors
 
     def summary(self) -> Summary:
         """Return the odometry's length, the rule, the errors, and the effect of the noise."""
@@ -92,12 +97,12 @@ class Integration(Result):
         BagError
             If the bag exists and `overwrite` is false, or cannot hold the messages.
         """
-        require_files(path)
         provenance = {"command": "integrate", "rule": self.rule, "hold": self.hold}
         if self.twist_noise is not None:
             provenance |= {"seed": str(self.seed), "twist_noise": "{} {}".format(*self.twist_noise)}
-        source, target = Path(self.source), Path(fspath(path))
-        return rewrite_path(source, target, self.drive, self.runs_xyt[0], provenance, overwrite=overwrite)
+        return rewrite_path(
+            Path(self.source), drive_path(path), self.drive, self.runs_xyt[0], provenance, overwrite=overwrite
+        )
 
     def _figure(self) -> Figure:
         """Return a figure of the path and its error; with noise, of all runs around the true path."""
@@ -148,20 +153,6 @@ class Integration(Result):
         ]
 
 
-def require_files(*paths: str | PathLike[str]) -> None:
-    """Raise if a path is a pipe."""
-    if any(fspath(path) == "-" for path in paths):
-        raise OdomCorruptError("-: integration reads the whole drive first, which is impossible on a pipe; name files")
-
-
-def require_runs(runs: int, twist_noise: tuple[float, float] | None) -> None:
-    """Raise ModelError if there are no runs, or several without noise."""
-    if runs < 1:
-        raise ModelError(f"--runs {runs}: draw one or more")
-    if runs > 1 and twist_noise is None:
-        raise ModelError(f"--runs {runs}: without --twist-noise all runs are the same")
-
-
 def integrate(
     bag: str | PathLike[str],
     *,
@@ -205,13 +196,19 @@ def integrate(
     >>> driven.save("integrated.mcap").messages
     3000
     """
-    require_files(bag)
-    require_runs(runs, twist_noise)
-    path = Path(fspath(bag))
+    path = drive_path(bag)
+    if runs < 1:
+        raise ModelError(f"--runs {runs}: draw one or more")
+    if runs > 1 and twist_noise is None:
+        raise ModelError(f"--runs {runs}: without --twist-noise all runs are the same")
     drive = read_drive(path, odom_topic)
     topic = truth or find_truth(path)
-    true = None if topic is None else read_poses(path, topic)
     xyt = integrate_twists(drive.xyt[0], drive.twist, drive.t_s, rule, hold=hold)
+    integrated = Trajectory(drive.stamps_ns, xyt)
+    truth_error = None
+    if topic is not None:
+        with suppress(ScoreError):  # no time in common
+            truth_error = path_errors(integrated, read_poses(path, topic), align="origin")
     noise, drawn_seed, runs_xyt = None, None, xyt[None]
     if twist_noise is not None:
         white_v, white_omega = twist_noise
@@ -229,6 +226,6 @@ def integrate(
         twist_noise=noise,
         seed=drawn_seed,
         truth_topic=topic,
-        truth_error=None if true is None else path_error(drive.stamps_ns, xyt, true),
-        own_error=path_error(drive.stamps_ns, xyt, drive.trajectory),
+        truth_error=truth_error,
+        own_error=path_errors(integrated, drive.trajectory, align="origin"),
     ).then("odomcorrupt", "integrate", path, "--plot", "errors.png")

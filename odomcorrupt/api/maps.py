@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
+from odomcorrupt.api.bag_options import drive_path
 from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.corruption.path import NoisyPath
@@ -170,23 +171,9 @@ def map_files(path: Path, method: str) -> tuple[Path, ...]:
 
 
 def require_method(
-    bag: str | PathLike[str],
-    method: str,
-    truth: str | None,
-    laser_pose: Sequence[float] | None,
-    max_yaw_rate: float | None,
+    method: str, truth: str | None, laser_pose: Sequence[float] | None, max_yaw_rate: float | None
 ) -> None:
-    """Raise, before any work, if a bag is a pipe, or a method is unknown or given what it does not take.
-
-    Raises
-    ------
-    OdomCorruptError
-        If the bag is a pipe.
-    MapError
-        If the method is unknown, or the laser's with a truth, a pose of the laser or a largest yaw rate.
-    """
-    if fspath(bag) == "-":
-        raise OdomCorruptError("-: a map is made from the whole drive, which is impossible on a pipe; name a file")
+    """Raise MapError, before any work, if a method is unknown or given what it does not take."""
     if method not in get_args(Method):
         raise MapError(f"--method {method}: is not one of {', '.join(get_args(Method))}")
     if method == "laser" and (truth is not None or laser_pose is not None):
@@ -247,7 +234,8 @@ def draw_maps(
     >>> [file.name for file in drawn.save("office.yaml")]
     ['office_clean.pgm', 'office_clean.yaml', 'office_noisy.pgm', 'office_noisy.yaml']
     """
-    require_method(bag, method, truth, laser_pose, max_yaw_rate)
+    path = drive_path(bag)
+    require_method(method, truth, laser_pose, max_yaw_rate)
     if not (isfinite(resolution) and resolution > 0.0):
         raise MapError(f"--resolution {resolution}: the side of a cell must be more than zero metres")
     if max_yaw_rate is not None and not max_yaw_rate >= 0.0:
@@ -258,14 +246,14 @@ def draw_maps(
         if pose.shape != (3,) or not np.isfinite(pose).all():
             raise MapError(f"--laser-pose {laser_pose}: give x, y and heading of the laser on the robot")
         mount = mount_at(pose)
-    path, chosen = Path(fspath(bag)), as_model(model)
+    chosen = as_model(model)
     drawn_seed = draw_seed() if seed is None else seed
 
     def error_of(odometry: Trajectory) -> Array:
         noise = NoisyPath(chosen.motion_model, drawn_seed, run)
         return noise.feed(odometry.stamps_ns, odometry.xyt).error_xyt
 
-    made: dict[str, Any] = {"source": fspath(bag), "model": chosen, "seed": drawn_seed, "run": run}
+    made: dict[str, Any] = {"source": str(path), "model": chosen, "seed": drawn_seed, "run": run}
     if method == "laser":
         drawn = _laser_maps(path, odom_topic, scan, watch, error_of, resolution)
         result = Maps(**made, maps=drawn.maps, notes=drawn.notes, matched=drawn)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from os import PathLike, fspath
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from odomcorrupt.api.bag_options import as_condition
+from odomcorrupt.api.bag_options import as_condition, drive_path
 from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.corruption.summary import model_brief
@@ -25,6 +23,7 @@ from odomcorrupt.trajectories import read_drive
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from os import PathLike
 
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike, NDArray
@@ -460,15 +459,14 @@ def sample_along(
     >>> oc.sample_along("fixtures/office.mcap", runs=20, seed=1).result.xyt.shape
     (20, 5, 3)
     """
-    if fspath(bag) == "-":
-        raise OdomCorruptError("-: the whole drive is read first, which is impossible on a pipe; name a file")
+    path = drive_path(bag)
     if runs < 1:
         raise OdomCorruptError(f"runs: {runs}; draw one or more")
     chosen = as_model(model)
-    drive = read_drive(Path(fspath(bag)), odom_topic)
+    drive = read_drive(path, odom_topic)
     places = samples.places_along(drive, every_m or _rounded_up(float(drive.distance_m[-1]) / 6.0))
     seed, condition = draw_seed() if seed is None else seed, as_condition(within)
-    odometry, robot = f"{drive.topic} of {fspath(bag)}", chosen.motion_model
+    odometry, robot = f"{drive.topic} of {path}", chosen.motion_model
     if condition is None:
         return Particles(samples.sample_particles(drive, robot, places, seed=seed, runs=runs), chosen, odometry)
     free = free_paths(drive.stamps_ns, drive.xyt, robot, condition, seed=seed, runs=range(runs), places=places)

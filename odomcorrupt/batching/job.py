@@ -78,7 +78,7 @@ def sobol_points(ranges: Sequence[Range], count: int) -> list[list[tuple[str, st
     """
     if not 1 <= count <= _MOST_POINTS:
         raise ModelError(f"--points {count}: must be 1 to {_MOST_POINTS}")
-    require("scipy", "ranges of a sweep need it")
+    require("scipy")
     from scipy.stats import qmc  # noqa: PLC0415 - slow to import, and an extra
 
     exponent = max(math.ceil(math.log2(count)), 0)

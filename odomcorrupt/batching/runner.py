@@ -19,6 +19,7 @@ from odomcorrupt.batching.parameter_draws import drawn_values
 from odomcorrupt.batching.patch_batch import LateTopic, SharedRun, portions
 from odomcorrupt.batching.sinks import BagSink, FullSink, MultiSink, OverlaySink, TumSink
 from odomcorrupt.corruption.inverse import SystematicEffects, changes_nothing
+from odomcorrupt.corruption.odometry_source import Frames, localisation_words
 from odomcorrupt.corruption.path import MARKS_M
 from odomcorrupt.corruption.run import corrupt_bag
 from odomcorrupt.corruption.transform import CorrectionEdge, Run, Transform
@@ -248,8 +249,9 @@ def _make(
     transform.require_source()
     for one in runs:
         _put_beside(job, home, one)
-    frame = "" if transform.odometry.frames is None else transform.odometry.frames.odom
-    return [(_record(job, one.state, part.losses, frame), one.sink) for one in runs]
+    frames = transform.odometry.frames or Frames("", None)
+    said = localisation_words(transform.stayed, frames, part.channels.values()) if keep else []
+    return [(_record(job, one.state, frames.odom, said, part.losses), one.sink) for one in runs]
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,8 +292,7 @@ def _begin(
     drive: CleanDrive | None,
     systematic: SystematicEffects | None,
 ) -> _Run:
-    model = job.model_of(run)
-    batch = job.batch
+    model, batch = job.model_of(run), job.batch
     within = None if batch.condition is None else batch.condition.path(model, batch.seed, run, drive)
     tum = TumSink(job.path_of(run), model) if batch.output == "trajectories" else None
     watchers = [] if tum is None else [tum]
@@ -323,7 +324,7 @@ def _put_beside(job: Job, home: Path, one: _Run) -> None:
         write_bytes(home / job.robot_of(run), format_model(model).encode())
 
 
-def _record(job: Job, state: RunState, losses: Sequence[str], frame: str) -> dict[str, Any]:
+def _record(job: Job, state: RunState, frame: str, *said: Sequence[str]) -> dict[str, Any]:
     drift = state.drift.result()
     assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
     record: dict[str, Any] = {
@@ -333,6 +334,7 @@ def _record(job: Job, state: RunState, losses: Sequence[str], frame: str) -> dic
         "input": job.shown_source,
         "seed": job.batch.seed,
         "odom_frame": frame,
+        **{key: list(some) for key, some in zip(("remarks", "losses"), said, strict=True) if some},
     }
     if job.spreads:
         record["robot"] = job.robot_of(state.number)
@@ -341,7 +343,5 @@ def _record(job: Job, state: RunState, losses: Sequence[str], frame: str) -> dic
     events = [(one.name, one.window_s) for one in state.model.effects if one.window_s is not None and one.acts]
     if events:
         record["events"] = [{"effect": name, "from_s": w[0], "to_s": w[1]} for name, w in events]
-    if losses:
-        record["losses"] = list(losses)
     record["errors"] = [list(np.round(mark, 9).tolist()) for mark in state.marks.result()]
     return record

@@ -26,15 +26,17 @@ def _number(
     return valued(word, kind=Number(unit, 0.0, high, **bounds), default=default, metavar=metavar, text=text)
 
 
-@click.command("export", short_help="Print a model as parameters of ros2_control, nav2 or robot_localization.")
+@click.command("export", short_help="Print a model as parameters of ros2_control, nav2, robot_localization or Gazebo.")
 @click.argument("model", type=FILE)
 @click.option(
-    "--to", "target", type=click.Choice(["ros2_control", "nav2", "robot_localization"]),
-    help="Wheel multipliers, amcl's alphas, or covariances.",
+    "--to", "target", type=click.Choice(["ros2_control", "nav2", "robot_localization", "gazebo"]),
+    help="Wheel multipliers, amcl's alphas, covariances, or a drive plugin.",
 )  # fmt: skip
 @setting(
     "--track", "track_m", type=TRACK, metavar="M", help="Nominal distance between the wheels. [default: the model's]"
 )
+@click.option("--wheelbase", "wheelbase_m", type=TRACK, metavar="M", help="Distance between the axles of an omni base.")
+@click.option("--wheel-radius", "wheel_radius_m", type=TRACK, metavar="M", help="Nominal radius of the wheels.")
 @_number("--update-min-d", "metres", "M", 0.25, "amcl's update distance.", above=True, else_=_EVERY)
 @_number("--update-min-a", "radians", "RAD", 0.2, "amcl's update angle.", above=True, else_=_EVERY)
 @valued(
@@ -44,12 +46,12 @@ def _number(
 @_number("--speed", "m/s", "M/S", 0.5, "Speed at which the noise is evaluated.")
 @_number("--turn-rate", "rad/s", "RAD/S", 0.5, "Turn rate at which the noise is evaluated.")
 @_number("--rate", "messages per second", "HZ", 50.0, "Rate of odometry messages.", above=True, high=1e6)
-@valued("--controller", kind=str, default="diff_drive_controller", metavar="NAME", text="Name of the node in the YAML.")
+@click.option("--controller", metavar="NAME", help="Name of the node. [default: the controller for this base]")
 @click.option("-o", "--output", type=OUTPUT, help="Write the YAML to a file.")
 @overwrite_option()
 @standard_options
 def command(model: Path, *, target: Target | None, output: Path | None, console: Console, **given: Any) -> None:
-    """Print a model's parameters as YAML for another program.
+    """Print a model's parameters as YAML or SDF for another program.
 
     -v adds comments: assumptions, and effects that the program cannot express. -o writes all of it to a file.
     Wheel multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
@@ -58,7 +60,7 @@ def command(model: Path, *, target: Target | None, output: Path | None, console:
     from odomcorrupt.api.model import Model
 
     if target is None:
-        raise click.UsageError("--to: says which program; give --to ros2_control, --to nav2 or --to robot_localization")
+        raise click.UsageError("--to: says which program; give --to ros2_control, nav2, robot_localization or gazebo")
     robot = Model.load(model)
     with usage_errors(ModelError):
         result = export_parameters(robot, target, **given)
@@ -67,12 +69,14 @@ def command(model: Path, *, target: Target | None, output: Path | None, console:
     if output is None:
         console.print(result.result.condensed(), result.details(), result.to_dict())
         return
+    controller = result.result.lines[0].rstrip(":")
     load = {
-        "nav2": ["ros2", "run", "nav2_amcl", "amcl", "--ros-args", "--params-file", output],
-        "ros2_control": ["ros2", "run", "controller_manager", "spawner", given["controller"], "--param-file", output],
-        "robot_localization": ["ros2", "run", "robot_localization", "ekf_node", "--ros-args", "--params-file", output],
+        "nav2": "ros2 run nav2_amcl amcl --ros-args --params-file",
+        "ros2_control": f"ros2 run controller_manager spawner {controller} --param-file",
+        "robot_localization": "ros2 run robot_localization ekf_node --ros-args --params-file",
     }
+    words = [*load[target].split(), output] if target in load else []
     console.show(
-        replace(result, name=model.name).then(*load[target]),
+        replace(result, name=model.name).then(*words),
         files={output: lambda: result.save(output, overwrite=True)},
     )

@@ -51,19 +51,17 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, con
     odomcorrupt integrate in.mcap out.mcap --integrate euler --plot errors.png
     odomcorrupt integrate in.mcap --twist-noise 0.2 0.04 --runs 100 --plot runs.png
     """  # noqa: D301 - click wants a real backspace
-    from odomcorrupt.api.integration import integrate, require_files, require_runs
+    from odomcorrupt.api.bag_options import drive_path
+    from odomcorrupt.api.integration import integrate
     from odomcorrupt.bags.open import form_of, open_reader
 
     if output is not None or output_option is not None:
         output = Path(chosen_output(None if output is None else str(output), output_option))
-    require_files(input_, *([] if output is None else [output]))
     overwrite, plot = given.pop("overwrite"), given.pop("plot")
-    with usage_errors(ModelError):
-        require_runs(given["runs"], given["twist_noise"])
     refuse_existing(output, overwrite=overwrite)
     if output is not None:  # refuse a name that is not that of a bag before any work is done
-        with open_reader(input_) as reader:
-            form_of(output, reader)
+        with open_reader(drive_path(input_)) as reader:
+            form_of(drive_path(output), reader)
     with usage_errors(ModelError):
         result = integrate(input_, **given)
     if output is not None:
@@ -75,8 +73,5 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, con
         done = result.save(path, overwrite=overwrite)
         return f"wrote {path}: {done.messages} odometry messages, {done.transforms} transforms"
 
-    def draw(path: Path) -> None:
-        with usage_errors(TopicError):
-            result.plot(path)
-
-    console.show(result, files={**written(output, save), **written(plot, draw)})
+    with usage_errors(TopicError):
+        console.show(result, files={**written(output, save), **written(plot, result.plot)})

@@ -57,7 +57,7 @@ def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -
 
     overwrite, method = given["overwrite"], given["method"]
     with usage_errors(MapError):
-        require_method(bag, method, *(given[name] for name in ("truth", "laser_pose", "max_yaw_rate")))
+        require_method(method, *(given[name] for name in ("truth", "laser_pose", "max_yaw_rate")))
     maps, picture = _files(output, method, overwrite=overwrite)
     model = choose_model(given)
     with Stages(quiet=console.quiet) as stages:

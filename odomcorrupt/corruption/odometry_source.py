@@ -31,6 +31,8 @@ ENCODINGS = frozenset({"cdr", "ros1"})
 GLOBAL_FRAMES = frozenset({"map", "world", "earth", "utm"})
 """Frames above odom, whatever namespace they carry: an edge between odom and one of them is localisation."""
 
+_LOCALISED = "geometry_msgs/msg/PoseWithCovarianceStamped"
+
 Side = Literal["left", "right"]
 PLANAR = np.array([0, 1, 5])
 """Where x, y and yaw stand among x, y, z, roll, pitch, yaw."""
@@ -129,7 +131,7 @@ def resolve_frames(item: Item, topic: str, *, odom_frame: str | None, base_frame
         If the odometry's frame is a global one, and no odom frame was requested.
     """
     stated = plain(item.frame_id)
-    if odom_frame is None and (not stated or _last(stated) in GLOBAL_FRAMES):
+    if odom_frame is None and (not stated or last_part(stated) in GLOBAL_FRAMES):
         raise TopicError(
             f"{topic}: its messages are in frame {item.frame_id!r}, which is not an odometry frame; name the frame "
             "that is to drift with --odom-frame"
@@ -148,7 +150,7 @@ def side_of(parent: str, child: str, frames: Frames) -> Side | None:
     frames : odom and base frame
     """
     parent, child = plain(parent), plain(child)
-    if parent == frames.odom and _last(child) not in GLOBAL_FRAMES:
+    if parent == frames.odom and last_part(child) not in GLOBAL_FRAMES:
         return "left"
     if child == frames.odom and frames.base is not None and parent == frames.base:
         return "right"
@@ -166,29 +168,34 @@ def localisation_side_of(parent: str, child: str, frames: Frames) -> Side | None
 
 def contains_truth(topic: str, parent: str, child: str, frames: Frames) -> bool:
     """Return whether an edge of TF that stays contains the true motion of the robot, or of its wheels."""
-    if "static" in topic or localisation_side_of(parent, child, frames) or _last(plain(child)) in GLOBAL_FRAMES:
+    if "static" in topic or localisation_side_of(parent, child, frames) or last_part(plain(child)) in GLOBAL_FRAMES:
         return False
     named = any(says_truth(name) for name in (topic, parent, child))
-    return named or _last(plain(parent)) in GLOBAL_FRAMES or "wheel" in child.lower()
+    return named or last_part(plain(parent)) in GLOBAL_FRAMES or "wheel" in child.lower()
 
 
-def localisation_words(edges: Mapping[str, str], frames: Frames) -> list[str]:
-    """Return a sentence on localisation that stays, or none, without a full stop.
+def localisation_words(edges: Mapping[str, str], frames: Frames, channels: Iterable[Channel] = ()) -> list[str]:
+    """Return sentences on localisation that stays, without a full stop.
 
-    edges : topics of the edges of TF that stay, "parent -> child"
+    edges : topics of the edges of TF that stay, "parent -> child"; channels : all of the bag
     """
-    found = []
+    said = []
     for edge, topic in sorted(edges.items()):
         parent, _, child = edge.partition(" -> ")
         if localisation_side_of(parent, child, frames) and "static" not in topic:
             way_out = f"leave it out with --exclude-topic {topic}:{parent}.{child} and localise again"
-            found.append(
+            said.append(
                 f"TF {edge} stays, and is that of the true odometry: {way_out}, or move it with --keep-localisation"
             )
-    return found
+    poses = {c.topic for c in channels if c.msgtype == _LOCALISED and not says_truth(c.topic)}
+    for topic in sorted(topic for topic in poses if last_part(topic) not in SETPOINT_TOPICS):
+        way_out = f"leave it out with --exclude-topic {topic}"
+        said.append(f"{topic} stays, and is of the true odometry if it is a localisation: {way_out}")
+    return said
 
 
-def _last(frame: str) -> str:
+def last_part(frame: str) -> str:
+    """Return a frame, topic or type without its namespace."""
     return frame.rsplit("/", 1)[-1]
 
 
@@ -401,7 +408,7 @@ def can_be_consistent(channel: Channel) -> bool:
     """Return whether a channel's numbers can be rewritten to the noisy motion: of a known type, and no command."""
     name = channel.topic.lower()
     known = channel.msgtype in SENSORS and channel.encoding in ENCODINGS and not says_truth(name)
-    if not known or _COMMANDS.search(name) or name.rsplit("/", 1)[-1] in SETPOINT_TOPICS:
+    if not known or _COMMANDS.search(name) or last_part(name) in SETPOINT_TOPICS:
         return False
     return not channel.msgtype.startswith("std_msgs") or _of_wheels(channel)
 
@@ -421,9 +428,9 @@ def topics_with_true_motion(
         for c in channels
         if c.topic not in moved
         and (not trees or tree_of(c.topic, channels) in trees)
-        and c.topic.rsplit("/", 1)[-1] not in SETPOINT_TOPICS
+        and last_part(c.topic) not in SETPOINT_TOPICS
         and (
-            c.msgtype.rsplit("/", 1)[-1] in MOTION_TYPES
+            last_part(c.msgtype) in MOTION_TYPES
             or _of_wheels(c)
             or frames.get(c.id) == plain(odom_frame)
             or (c.msgtype in FRAMED_TYPES and "costmap" in c.topic)  # centred on the robot even in the map frame

@@ -8,7 +8,7 @@ import textwrap
 from typing import TYPE_CHECKING, Literal
 
 from odomcorrupt.corruption.inverse import changes_nothing
-from odomcorrupt.corruption.odometry_source import ODOMETRY, localisation_words, plain, says_truth
+from odomcorrupt.corruption.odometry_source import ODOMETRY, last_part, localisation_words, plain, says_truth
 from odomcorrupt.corruption.path import LEG_M
 from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.effects.effect import choices, parameters
@@ -74,7 +74,8 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
         lines.append(leaks_line(true))
     lines += [Line("anomaly", sentence, "warning", weight=FOUND) for sentence in odd]
     if not is_identity and not outcome.added:
-        lines += [Line("note", said, "warning") for said in localisation_words(outcome.stayed, outcome.frames)]
+        stays = localisation_words(outcome.stayed, outcome.frames, outcome.channels)
+        lines += [Line("note", said, "warning") for said in stays]
     if not is_identity and per_message(outcome.model.noise):
         lines.append(Line("rate", "the drift depends on the message rate: see --step and --law diffusion", "warning"))
     following = () if target == "-" else (command_line(["odomcorrupt", "info", target]),)
@@ -140,7 +141,7 @@ def summary(outcome: Outcome, origin: str) -> str:
     if true and not is_identity:
         parts.append(f"Unchanged, so that a filter which reads them still gets the true motion: {', '.join(true)}.")
     if not is_identity and not outcome.added:
-        parts += [f"{said}." for said in localisation_words(outcome.stayed, outcome.frames)]
+        parts += [f"{said}." for said in localisation_words(outcome.stayed, outcome.frames, outcome.channels)]
     return " ".join(parts)
 
 
@@ -166,13 +167,11 @@ def moved_words(outcome: Outcome) -> str:
 def model_words(model: MotionModel, origin: str) -> str:
     """Return noise law, coefficients, their source, and effects, as text."""
     noise = model.noise
-    values = [(f.name, getattr(noise.coefficients, f.name)) for f in dataclasses.fields(noise.coefficients)]
+    values = dataclasses.asdict(noise.coefficients).items()
     numbers = " ".join(f"{name} {value:.4g}" for name, value in values if value or name in noise.law.alphas)
     words = "No noise" if noise.coefficients.noise_free else f"Law {noise.law_name}, {numbers}"
-    if noise.step is not None:
-        words += f", once per {noise.step}"
-    if origin:
-        words += f" ({origin})"
+    words += f", once per {noise.step}" if noise.step is not None else ""
+    words += f" ({origin})" if origin else ""
     effects = [effect_words(effect) for effect in model.effects if effect.acts]
     return words + (f"; effects {', '.join(effects)}" if effects else "")
 
@@ -217,11 +216,8 @@ def _leg(drift: Drift) -> str:
 
 def _expected(metres: float, radians: float) -> str:
     """Return the expected drift as text; without the position where the heading error is too large for first order."""
-    return (
-        size_words(metres, radians)
-        if radians < LOST_RAD
-        else f"{math.degrees(radians):.3g} deg: the position is arbitrary"
-    )
+    known = radians < LOST_RAD
+    return size_words(metres, radians) if known else f"{math.degrees(radians):.3g} deg: the position is arbitrary"
 
 
 def size_words(metres: float, radians: float) -> str:
@@ -233,9 +229,8 @@ def _faster(drift: Drift) -> list[str]:
     """Return a warning where the drive is faster than the learned effects have an inverse for."""
     if not (drift.slowed_s and drift.slowed_to):
         return []
-    more = 100.0 * (1.0 / drift.slowed_to - 1.0)
-    fast = f"For {drift.slowed_s:.2g} s up to {more:.2g} % faster than the model's highest valid speed"
-    return [f"{fast}: the relative error is kept constant."]
+    more = f"{100.0 * (1.0 / drift.slowed_to - 1.0):.2g} % faster than the model's highest valid speed"
+    return [f"For {drift.slowed_s:.2g} s up to {more}: the relative error is kept constant."]
 
 
 def per_message(noise: Noise) -> list[str]:
@@ -298,14 +293,12 @@ def _same_edge(outcome: Outcome) -> list[str]:
     ends = outcome.frames
     if ends.base is None or outcome.changes.edges:
         return []
-    last = tuple(frame.rsplit("/", 1)[-1] for frame in (ends.odom, ends.base))
+    last = [last_part(frame) for frame in (ends.odom, ends.base)]
     for edge in sorted(outcome.stayed):
         odom, base = edge.split(" -> ", 1)
-        if (odom.rsplit("/", 1)[-1], base.rsplit("/", 1)[-1]) == last:
-            way_out = f"--odom-frame {odom} --base-frame {base} moves both"
-            return [
-                f"TF {edge} still contains the true motion: the odometry is from {ends.odom} to {ends.base}; {way_out}."
-            ]
+        if [last_part(odom), last_part(base)] == last:
+            said = f"TF {edge} still contains the true motion: the odometry is from {ends.odom} to {ends.base}; "
+            return [f"{said}--odom-frame {odom} --base-frame {base} moves both."]
     return []
 
 

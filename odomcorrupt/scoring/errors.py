@@ -16,7 +16,6 @@ import numpy as np
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.geometry.se2 import between, compose, inverse, rotate, wrap
 from odomcorrupt.geometry.trajectory import distance_along
-from odomcorrupt.study.validate.trajectory_error import aligned_at_origin, aligned_rigidly, relative_errors
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -104,6 +103,8 @@ class PathErrors:
 
     def metrics(self) -> dict[str, float]:
         """Return metrics by name: metres, radians; NaN without headings or sufficient length."""
+        from odomcorrupt.study.validate.trajectory_error import relative_errors  # noqa: PLC0415 - needs SciPy
+
         position = self.position_m
         rpe = relative_errors(self.truth_xyt, self.estimate_xyt, RPE_M)
         window = _windows(self.truth_xyt, self.estimate_xyt, self.t_s)
@@ -167,10 +168,9 @@ def path_errors(
     truth_s = truth.seconds_since(origin)
     shared = (t_s >= truth_s[0]) & (t_s <= truth_s[-1])
     if np.count_nonzero(shared) < 2:
-        raise ScoreError(
-            f"no time in common: the estimate has {_clock(estimate)}, the truth {_clock(truth)}; "
-            "give both the same clock (use_sim_time with ros2 bag play --clock)"
-        )
+        spans = [f"{one.stamps_ns[0] * 1e-9:.3f} to {one.stamps_ns[-1] * 1e-9:.3f} s" for one in (estimate, truth)]
+        said = "no time in common: the estimate has {}, the truth {}".format(*spans)
+        raise ScoreError(f"{said}; give both the same clock (use_sim_time with ros2 bag play --clock)")
     t_s, own = t_s[shared], estimate.xyt[shared]
     if np.isfinite(truth.xyt[:, 2]).all():
         true = truth.at(t_s, origin)
@@ -192,10 +192,12 @@ def _aligned(true: Array, own: Array, align: Alignment) -> Array:
     if align in ("none", "same"):
         return own
     if align == "rigid":
+        from odomcorrupt.study.validate.trajectory_error import aligned_rigidly  # noqa: PLC0415 - needs SciPy
+
         return aligned_rigidly(true, own)
     if not (np.isfinite(true[0]).all() and np.isfinite(own[0]).all()):
         raise ScoreError("--align origin: aligns the first poses, which needs headings; use rigid")
-    return aligned_at_origin(true, own)
+    return compose(true[0], between(own[0], own))
 
 
 def _windows(true: Array, own: Array, t_s: Array) -> Array:
@@ -226,11 +228,6 @@ def _nees(true: Array, own: Array, covariance: Array, turned_rad: float) -> tupl
     solved = np.linalg.solve(symmetric[usable], error[usable][:, :, None])[:, :, 0]
     squared = np.sum(error[usable] * solved, axis=1)
     return squared / dof, float(np.mean(squared <= CHI2_95[dof]))
-
-
-def _clock(trajectory: Trajectory) -> str:
-    first, last = (int(trajectory.stamps_ns[i]) * 1e-9 for i in (0, -1))
-    return f"{first:.3f} to {last:.3f} s"
 
 
 def _rms(values: Array) -> float:

@@ -20,11 +20,7 @@ READS = {
     ),
     "preview of a topic": (
         lambda: oc.preview(OFFICE, runs=2, seed=5, odom_topic="odom", odom_frame="odom", base_frame="base_link"),
-        [
-            "preview",
-            str(OFFICE),
-            *["--runs", "2", "--seed", "5", "--odom", "odom", "--odom-frame", "odom", "--base-frame", "base_link"],
-        ],
+        ["preview", str(OFFICE), "--runs", "2", "--seed", "5", *FRAMES],
     ),
     "spread": (lambda: oc.spread("runs"), ["spread", "runs"]),
     "info": (lambda: oc.info(OFFICE), ["info", str(OFFICE)]),

@@ -211,7 +211,7 @@ def test_a_topic_is_not_its_own_truth_and_centimetres_are_no_metres(capsys):
         (["fit", OFFICE, "--odom", "/odom", "--truth", "odom"], "is the odometry itself"),
         (["learn", OFFICE, "--truth", "/odom", "--track", "42.3"], "42.3 cm are 0.423"),
         ([OFFICE, "out.mcap", "--track", "42.3"], "42.3 cm are 0.423"),
-        (["export", "robot.toml"], "give --to ros2_control, --to nav2 or --to robot_localization"),
+        (["export", "robot.toml"], "give --to ros2_control, nav2, robot_localization or gazebo"),
     ):
         assert run(words) in (1, 2)
         assert said in capsys.readouterr().err

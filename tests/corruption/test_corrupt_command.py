@@ -8,6 +8,7 @@ from bagged import ODOM, odometry, robot, write_mcap
 from drives import office
 from test_run import FIXTURES
 
+from odomcorrupt.bags.block import Channel
 from odomcorrupt.bags.messages import gather_stamps_ns, locate
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.cli import run
@@ -110,9 +111,21 @@ def edges_of(path):
 
 
 def test_the_localisation_of_the_true_odometry_is_said_and_can_be_left_out(tmp_path, capsys):
-    source, target = write_mcap(tmp_path / "in.mcap", robot(*office(10.0, 10.0))), tmp_path / "out.mcap"
-    assert run([str(source), str(target), "--seed", "1", "-v"]) == 0
-    assert "TF map -> odom stays, and is that of the true odometry" in capsys.readouterr().err
+    messages = robot(*office(10.0, 10.0))
+    amcl = Channel(9, "/amcl_pose", "geometry_msgs/msg/PoseWithCovarianceStamped", "cdr")
+    source = write_mcap(tmp_path / "in.mcap", [(amcl, messages[0][1], b"\0\1\0\0"), *messages])
+    target, batched = tmp_path / "out.mcap", ["--seed", "1", "--runs", "2"]
+    for words in (
+        [str(source), str(target), "--seed", "1", "-v"],
+        ["batch", str(source), str(tmp_path / "b"), *batched, "-v"],
+    ):
+        assert run(words) == 0
+        said = " ".join("".join(capsys.readouterr()).split())
+        assert "TF map -> odom stays, and is that of the true odometry" in said
+        assert "/amcl_pose stays, and is of the true odometry if it is a localisation: leave it out with " in said
+    left_out = ["--exclude-topic", "/amcl_pose", "--exclude-topic", "/tf:map.odom"]
+    assert run(["batch", str(source), str(tmp_path / "c"), *batched, *left_out]) == 0
+    assert "stays" not in capsys.readouterr().out
     moved = [edge for edge in edges_of(target) if edge[:2] == ("odom", "base_link")]
     for words in (["/tf:map.odom"], ["tf:map.odom", "/tf:base_link.laser"]):
         exclude = [word for one in words for word in ("--exclude-topic", one)]

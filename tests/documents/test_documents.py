@@ -69,8 +69,7 @@ def _makes(script: str, name: str) -> bool:
     return f'"{name}"' in script or (bool(rest) and f'f"{folder}_{{' in script)
 
 
-DOCS = Path(__file__).parents[2] / "docs"
-sys.path.append(str(DOCS))
+sys.path.append(str(ROOT / "docs"))
 
 from make_mistakes import PAGE, page  # noqa: E402 - its folder had to be found first
 

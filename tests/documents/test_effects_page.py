@@ -5,6 +5,7 @@ import re
 import sys
 from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace as Names
 
 from odomcorrupt.effects import ground, registry, steering
 from odomcorrupt.effects.wheels import TRACKS_M
@@ -17,18 +18,10 @@ from effects_page import library, on_page_markdown  # noqa: E402 - its folder ha
 PAGE = (DOCS / "effects.md").read_text(encoding="utf8")
 
 
-class File:
-    src_uri = "effects.md"
-
-
-class Page:
-    file = File()
-
-
 def test_the_site_has_every_effect_before_the_definition():
     rows = re.findall(r"^\| `(\w+)` \|", library(), re.MULTILINE)
     assert sorted(rows) == sorted(registry())
-    whole = on_page_markdown(PAGE, page=Page())
+    whole = on_page_markdown(PAGE, page=Names(file=Names(src_uri="effects.md")))
     assert whole.index("## The library") < whole.index("## Definition")
 
 

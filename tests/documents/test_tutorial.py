@@ -14,24 +14,15 @@ sys.path.append(str(ROOT / "docs"))
 from make_tutorial import IMAGES, PAGE, play, sessions  # noqa: E402 - its folder had to be found first
 
 
-def plain(line: str) -> str:
-    """Return a line without its numbers, bars and gaps: the last digits differ from machine to machine."""
-    return re.sub(r"[-+]?\d[\d.e+-]*|#+|\s+", " ", line).strip()
-
-
 def words(line: str) -> str:
-    return re.sub(r"\s+", " ", plain(line))
+    """Return a line without its numbers, bars and gaps: the last digits differ from machine to machine."""
+    return re.sub(r"(?:[-+]?\d[\d.e+-]*|#+|\s+)+", " ", line).strip()
 
 
 def test_every_picture_of_the_page_is_there():
     pictures = re.findall(r"\]\((images/[^)]+)\)", PAGE.read_text(encoding="utf8"))
     assert len(pictures) == 4
     assert all((PAGE.parent / picture).stat().st_size > 10_000 for picture in pictures)
-
-
-def test_a_command_without_its_line_is_noticed():
-    assert words("  + unequal_wheels   +49.9 nats  116.0 -> 43.6 mm") == words("  + unequal_wheels +50 nats 9 -> 4 mm")
-    assert words("  + unequal_wheels   +49.9 nats") != words("  + gyro_bias   +49.9 nats")
 
 
 def pixels(path: Path) -> np.ndarray:

@@ -1,6 +1,7 @@
 """What the command prints is YAML that ROS reads as numbers, with what is left out in its comments."""
 
 import io
+import re
 
 import pytest
 from ruamel.yaml import YAML
@@ -39,7 +40,8 @@ def export(tmp_path, capsys):
         path.write_text(MODEL.format(law=law, more=more))
         code = run(["export", "-v", str(path), "--to", target, *args])
         printed = capsys.readouterr()
-        return code, YAML(typ="safe").load(io.StringIO(printed.out)), printed.out, printed.err
+        found = None if printed.out.startswith("<") else YAML(typ="safe").load(io.StringIO(printed.out))
+        return code, found, printed.out, printed.err
 
     return call
 
@@ -146,3 +148,35 @@ def test_an_amcl_without_spread_from_turns_is_said(tmp_path, capsys):
         printed = capsys.readouterr()
         assert YAML().load(printed.out)["amcl"]["ros__parameters"]["update_min_d"] > 0.0
         assert ("no spread from turns" in printed.err) is said
+
+
+def test_the_plugin_of_gazebo_computes_with_the_nominal_dimensions(export):
+    code, _, printed, _ = export("gazebo", "--wheel-radius", "0.05")
+    comment, sdf = printed.split("-->")
+    values = dict(re.findall(r"<(\w+)>([\d.]+)</\1>", sdf))
+    assert code == 0
+    assert 'name="gz::sim::systems::DiffDrive"' in sdf
+    assert float(values["wheel_separation"]) == pytest.approx(0.4 / 1.03, rel=1e-4)
+    assert float(values["wheel_radius"]) == pytest.approx(0.05)
+    for said in ("the left wheel's collision", "side_slip", "because it is random: gauss_markov"):
+        assert said in " ".join(comment.split())
+    code, _, _, said = export("gazebo")
+    assert code == 2
+    assert "give --track and --wheel-radius" in said
+
+
+@pytest.mark.parametrize("given", [{"more": '[setup]\ndrive_type = "omni"'}, {"law": "omni", "more": ""}])
+def test_an_omni_base_is_exported_for_its_own_controller_plugin_and_motion_model(export, given):
+    size = ["--track", "0.4", "--wheelbase", "0.3", "--wheel-radius", "0.05"]
+    found = export("ros2_control", *size, **given)[1]["mecanum_drive_controller"]["ros__parameters"]
+    assert found["kinematics.wheels_radius"] == pytest.approx(0.05)
+    assert found["kinematics.sum_of_robot_center_projection_on_X_Y_axis"] == pytest.approx(0.35 * 1.03, rel=1e-5)
+    sdf = export("gazebo", *size, **given)[2]
+    assert 'filename="gz-sim-mecanum-drive-system" name="gz::sim::systems::MecanumDrive"' in sdf
+    assert float(re.findall(r"<wheelbase>(.+)</wheelbase>", sdf)[0]) == pytest.approx(0.3 / 1.03, rel=1e-4)
+    assert "mecanum_drive_controller" in export("robot_localization", **given)[1]
+    amcl = export("nav2", **given)[1]["amcl"]["ros__parameters"]
+    assert amcl["robot_model_type"] == "nav2_amcl::OmniMotionModel"
+    assert amcl["alpha1"] == pytest.approx(0.03 / 20 if "law" in given else 0.03**2 / 0.2)
+    for target in ("ros2_control", "gazebo"):
+        assert "give --track, --wheelbase and --wheel-radius" in export(target, **given)[3]

@@ -10,15 +10,7 @@ from odomcorrupt.correction.undo import undo_effects
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import ModelError
-from odomcorrupt.export import (
-    Steady,
-    amcl_alphas,
-    amcl_snippet,
-    depends_on_rate,
-    message_noise,
-    twist_variances,
-    wheel_multipliers,
-)
+from odomcorrupt.export import Steady, amcl_alphas, amcl_snippet, message_noise, twist_variances, wheel_multipliers
 from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import Coefficients
@@ -149,15 +141,17 @@ def test_amcls_own_law_at_its_own_step_comes_back():
     k = Coefficients(0.2, 0.1, 0.3, 0.15)
     own = Noise("quadratic", k, Step(0.25, 0.2))
     assert [*amcl_alphas(own, 0.25, 0.2, drive=DRIVE).values()][:4] == pytest.approx([0.2, 0.1, 0.3, 0.15])
-    assert not depends_on_rate(own)
     omni = Noise("omni", Coefficients(0.2, 0.1, 0.3, 0.15, across_trans=0.05), Step(0.25, 0.2))
-    assert [*amcl_alphas(omni, 0.25, 0.2, drive=DRIVE).values()] == pytest.approx([0.2, 0.1, 0.3, 0.15, 0.05])
+    assert [*amcl_alphas(omni, 0.25, 0.2, drive=DRIVE, omni=True).values()] == pytest.approx(
+        [0.2, 0.1, 0.3, 0.15, 0.05]
+    )
     assert '"nav2_amcl::OmniMotionModel"' in amcl_snippet(MotionModel(omni), 0.25, 0.2, "rolling", DRIVE).text
 
 
-def test_what_depends_on_the_rate_is_reported_by_the_alphas():
-    assert depends_on_rate(NOISES["linear per message"])
-    assert depends_on_rate(NOISES["with white twists"])
+def test_alphas_depend_on_the_rate_only_where_they_say_so():
+    for name, noise in NOISES.items():
+        text = amcl_snippet(MotionModel(noise), 0.25, 0.2, "rolling", DRIVE).text
+        assert ("depends on the message rate" in text) is (name not in {"diffusion", "quadratic per step"})
     slow, fast = (amcl_alphas(DIFFUSION, 0.25, 0.2, drive=Steady(v, v, h)) for v, h in ((0.1, 10.0), (1.0, 100.0)))
     assert slow == pytest.approx(fast)
 

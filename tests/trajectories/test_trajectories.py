@@ -5,6 +5,7 @@ import json
 import math
 import re
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ import odomcorrupt as oc
 from odomcorrupt.cli import run
 from odomcorrupt.errors import ModelError, RecordingError
 from odomcorrupt.sampling.samples import places_along, sample_particles
-from odomcorrupt.trajectories import RULES, Drive, integrate, noisy_twists, read_drive, read_poses
+from odomcorrupt.trajectories import Drive, Rule, integrate, noisy_twists, read_drive, read_poses
 from recordings import RECORDINGS
 
 
@@ -37,7 +38,7 @@ def textbook(start, twist, t, rule):
     return poses
 
 
-@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("rule", get_args(Rule))
 def test_rule_is_the_textbook_loop(rule):
     rng = np.random.default_rng(2)
     twist, t = rng.normal(size=(40, 3)), np.cumsum(rng.uniform(0, 0.5, 40))

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from odomcorrupt.forecasting.forecast import Forecast
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.scoring.errors import PathErrors
     from odomcorrupt.study.validate.compare import Comparison
-    from odomcorrupt.trajectories import PathError
 
 _RUNS = 100
 _MARKS = 20
@@ -100,7 +100,7 @@ def draw_corruption(
     return figure
 
 
-def draw_errors(error: PathError, name: str, title: str) -> Figure:
+def draw_errors(error: PathErrors, name: str, title: str) -> Figure:
     """Draw a path and its heading with the truth, and the error of each below."""
     t = error.t_s
     with drawing():
@@ -108,7 +108,7 @@ def draw_errors(error: PathError, name: str, title: str) -> Figure:
         (path, heading), (position, turn) = figure.subplots(2, 2, height_ratios=(2.2, 1))
         for xyt, colour, style, label in (
             (error.truth_xyt, BLUE, "-", "truth"),
-            (error.path_xyt, RED, (0, (4, 3)), name),
+            (error.estimate_xyt, RED, (0, (4, 3)), name),
         ):
             path.plot(xyt[:, 0], xyt[:, 1], color=colour, linestyle=style, label=label, linewidth=1.8)
             heading.plot(t, np.degrees(xyt[:, 2]), color=colour, linestyle=style, linewidth=1.8)
