@@ -42,14 +42,15 @@ FIGURES = {
     "rate": 0.5, "doubt": "", "lost": 60, "each": "left -1.00, right 1.00", "explained": "99.8%",
     "cause": "a wheel counts the wrong way (its channels are exchanged), counts nothing, or by another factor",
     "change": "negate the counts of that wheel, or multiply them", "then": "this is undone in the odometry",
-    "hint_turn": "", "separation": 10, "agree": "turns agree", "track": " (0.016 -> 0.16 m)",
+    "most": 160, "hint_turn": "", "separation": 10, "agree": "turns agree", "track": " (0.016 -> 0.16 m)",
     "sides": ", left and right alike", "truth": "",
 }  # fmt: skip
 """Example of each figure."""
 OWN = {
     "plane": {"who": "/truth"}, "headings of the truth": {"who": "/truth"},
     "clock rate": {"factor": 2.0}, "stands still": {"share": "50%"},
-    "late clock": {"who": "/truth", "side": "behind"},
+    "unit of stamps": {"unit": "milliseconds"}, "turns too far": {"usual": 4},
+    "sideways": {"how": "the other way than"}, "late clock": {"who": "/truth", "side": "behind"},
     "forward is y": {"side": "y"}, "never turns one way": {"side": "right"},
     "unit of the truth": {"who": "/truth", "other": "/odom", "unit": "millimetres"},
 }  # fmt: skip

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,10 +16,10 @@ import numpy as np
 from odomcorrupt.drive_types import STEERED
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.geometry.se2 import Increments, accumulate, increments
+from odomcorrupt.geometry.se2 import Increments, accumulate, increments, wrap
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.study.io.plausibility import check_pair, cross_correlation
-from odomcorrupt.study.io.raw_trajectory import CLOCK_S
+from odomcorrupt.study.io.raw_trajectory import CLOCK_S, FEWEST
 from odomcorrupt.study.io.recording import Mistake
 
 if TYPE_CHECKING:
@@ -50,17 +49,20 @@ _FEW_TURNS = 0.1
 """Usual turn in a window, rad, up to which turns are too few to compare."""
 _ALIKE = 0.06
 """Relative difference of two factors that are the same."""
+_LOST = 2.0
+"""Turn between messages, rad, beyond which many exceed half a turn and are lost."""
 _FAST_MPS, _ROBOT_MPS = 60.0, 10.0
 """Speed that no robot has, and one that few have."""
 READINGS = (1.0, -1.0, np.pi / 180.0, -np.pi / 180.0, 180.0 / np.pi)
 """Factors by which headings may have to be multiplied."""
 UNITS = {"feet": 1.0 / 0.3048, "inches": 1.0 / 0.0254, "centimetres": 100.0, "millimetres": 1000.0}
 """Units of length that are confused with metres, per metre."""
-_HINTS = {
+_LENGTHS = {per_m: f"{unit} for metres" for unit, per_m in UNITS.items()}
+_OF_TRAVEL = _LENGTHS | {
     2.0: "diameter for radius, or one edge of the encoder counted instead of two", 4.0: "quadrature counted once",
-    180.0 / np.pi: "degrees for radians", 2.0 * np.pi: "turns for radians", 3.6: "km/h for m/s",
-    **{per_m: f"{unit} for metres" for unit, per_m in UNITS.items()},
+    3.6: "km/h for m/s",
 }  # fmt: skip
+_OF_TURNS = _LENGTHS | {2.0: "half of it for the whole", 180.0 / np.pi: "degrees for radians"}
 """Likely causes of factors near these or their inverses."""
 
 
@@ -108,7 +110,7 @@ class _Travel(NamedTuple):
         return np.asarray(end - begin)
 
 
-def _travel(path: Samples, origin_ns: int) -> _Travel:
+def travel_of(path: Samples, origin_ns: int) -> _Travel:
     """Return the motion of a trajectory; positions without headings head along their chords, modulo pi."""
     t_s, xyt = path.seconds_since(origin_ns), path.trajectory().xyt
     forwards = 1.0
@@ -121,7 +123,6 @@ def _travel(path: Samples, origin_ns: int) -> _Travel:
 
 def _along_chords(t_s: Array, xy: Array) -> tuple[Array, Array]:
     """Return times and poses (k, 3) of positions, headed along chords that are long beside the positions' noise."""
-    noise = float(np.median(np.abs(np.diff(xy, n=2, axis=0)))) if len(xy) > 2 else 0.0
     step_s = max(float(np.median(np.diff(t_s))), 2.0 * _GRID_S)
     while True:
         grid = np.arange(t_s[0], t_s[-1], step_s)
@@ -129,7 +130,7 @@ def _along_chords(t_s: Array, xy: Array) -> tuple[Array, Array]:
         chord = np.gradient(own, axis=0) if len(grid) > 1 else 0.0 * own
         length = np.linalg.norm(chord, axis=1)
         usual = float(np.percentile(length, 90.0))
-        if usual > 15.0 * noise or step_s > 2.0:
+        if usual > 15.0 * _noise(xy) or step_s > 2.0:
             break
         step_s *= 1.5
     moves = length > _MOVING * usual
@@ -147,9 +148,13 @@ class Own(NamedTuple):
     """
 
     speed_mps: float
-    agreement: tuple[float, ...]
-    chords: int
-    fixed: float
+    agreement: tuple[float, ...] = (0.0,) * len(READINGS)
+    chords: int = 0
+    fixed: float = 0.0
+
+
+def _concentration(angle: Array) -> float:
+    return float(np.abs(np.mean(np.exp(1j * angle)))) if len(angle) else 0.0
 
 
 def own_of(path: Samples) -> Own:
@@ -165,22 +170,17 @@ def own_of(path: Samples) -> Own:
     speed = np.linalg.norm(path.xyz[later, :2] - path.xyz[here, :2], axis=1) / (t_s[later] - t_s[here])
     usual = float(np.median(speed[speed > 0.0])) if np.any(speed > 0.0) else 0.0
     if not path.headed:
-        return Own(usual, (0.0,) * len(READINGS), 0, 0.0)
+        return Own(usual)
     course, middle = _chords(path.xyz[:, :2])
     readings = [path.yaw_rad[middle], np.unwrap(path.yaw_rad)[middle]]
     agreement = [max(_concentration(2.0 * (course - k * yaw)) for yaw in readings) for k in READINGS]
     return Own(usual, tuple(agreement), len(course), _concentration(2.0 * path.yaw_rad))
 
 
-def _concentration(angle: Array) -> float:
-    return float(np.abs(np.mean(np.exp(1j * angle)))) if len(angle) else 0.0
-
-
 def _chords(xy: Array) -> tuple[Array, NDArray[np.int64]]:
     """Return the angles of chords (k,) of a path (n, 2), a fortieth of its extent long, and samples in the middle."""
-    noise = float(np.median(np.abs(np.diff(xy, n=2, axis=0)))) if len(xy) > 2 else 0.0
     extent = float(np.linalg.norm(np.diff(np.percentile(xy, [16.0, 84.0], axis=0), axis=0))) / 2.0
-    length = max(extent / 40.0, 15.0 * noise, 1e-6)
+    length = max(extent / 40.0, 15.0 * _noise(xy), 1e-6)
     picked, at = [0], 0
     # The travelled distance only bounds the chord from above: continue until the chord itself is long enough.
     gone = distance_along(xy)
@@ -190,6 +190,10 @@ def _chords(xy: Array) -> tuple[Array, NDArray[np.int64]]:
     ends = np.array(picked)
     chord = np.diff(xy[ends], axis=0)
     return np.arctan2(chord[:, 1], chord[:, 0]), (ends[:-1] + ends[1:]) // 2
+
+
+def _noise(xy: Array) -> float:
+    return float(np.median(np.abs(np.diff(xy, n=2, axis=0)))) if len(xy) > 2 else 0.0
 
 
 class Witness(NamedTuple):
@@ -231,7 +235,7 @@ class Look:
     def motions(self) -> tuple[Array, Array, tuple[Array, Array]]:
         """Motions (n, 3) of odometry and truth in windows, and their times in each, at the lag that fits best."""
         origin, window_s = int(self.paths[0].stamps_ns[0]), self.window_s
-        one, other = (_travel(p, origin) for p in self.paths)
+        one, other = (travel_of(p, origin) for p in self.paths)
         first, last = max(one.t_s[0], other.t_s[0]), min(one.t_s[-1], other.t_s[-1]) - window_s
         margin_s = min(CLOCK_S, (last - first) / 4.0)
         starts = np.arange(first + margin_s, last - margin_s, window_s / 4.0)
@@ -271,7 +275,7 @@ class Look:
     def turns_agree(self) -> tuple[float, ...]:
         """For each of `READINGS`, 1 if the truth's headings so multiplied turn as the odometry does, 0 if not."""
         here, _, (_, at) = self.windows
-        truth, used = self.paths[1], _moving(here[:, 2])
+        truth, used = self.paths[1], moving(here[:, 2])
         t_s = truth.seconds_since(int(self.paths[0].stamps_ns[0]))
         first, last = (np.minimum(np.searchsorted(t_s, t), len(t_s) - 1)[used] for t in (at, at + self.window_s))
         turned = [yaw[last] - yaw[first] for yaw in (truth.yaw_rad, np.unwrap(truth.yaw_rad))]
@@ -282,33 +286,29 @@ class Look:
         """Correlations (3, 3) through the origin of the odometry's v, vy, omega with the truth's."""
         return _correlations(*self.windows[:2])
 
-    def ratio(self, axis: int, other: int | None = None, side: int = 0) -> Ratio:
+    def ratio(self, axis: int, side: int = 0) -> Ratio:
         """Return the ratio of the truth's motion along an axis to the odometry's, where the odometry moves."""
         here, there, _ = self.windows
-        used = _moving(here[:, axis], side)
-        return ratio_of(here[used, axis], there[used, axis if other is None else other])
+        used = moving(here[:, axis], side)
+        return ratio_of(here[used, axis], there[used, axis])
 
     @cached_property
-    def travel(self) -> Ratio:
-        """Ratio of travel forwards."""
-        return self.ratio(0) if self.correlations[0, 0] > _CLEAR else Ratio()
-
-    @cached_property
-    def turn(self) -> Ratio:
-        """Ratio of turns."""
-        return self.ratio(2) if self.correlations[2, 2] > _CLEAR else Ratio()
+    def scales(self) -> tuple[Ratio, Ratio]:
+        """Ratios of travel forwards and of turns."""
+        travel, turn = (self.ratio(k) if self.correlations[k, k] > _CLEAR else Ratio() for k in (0, 2))
+        return travel, turn
 
     @property
     def turns(self) -> float:
         """Usual turn of the odometry or the truth, the larger one, in windows in which one of them moves, rad."""
         here, there, _ = self.windows
-        used = _moving(here[:, 0]) | _moving(there[:, 0])
+        used = moving(here[:, 0]) | moving(there[:, 0])
         return max(float(np.sqrt(np.mean(x[used, 2] ** 2))) if used.any() else 0.0 for x in (here, there))
 
     @property
     def words(self) -> str:
         """Ratios of travel and turns in words, "" if they are not sure."""
-        sure = [(what, r) for what, r in (("travels", self.travel), ("turns", self.turn)) if r.sure]
+        sure = [(what, r) for what, r in zip(("travels", "turns"), self.scales, strict=True) if r.sure]
         times = ["" if abs(r.value - 1.0) < r.spread else f"{r.value:.3g} times " for _, r in sure]
         said = [f"{what} {by}as far (+-{r.spread:.1%})" for (what, r), by in zip(sure, times, strict=True)]
         return f"in {self.window_s:.2g} s the truth {' and '.join(said)} as the odometry" if said else ""
@@ -334,21 +334,18 @@ def _by_speeds(here: Array, there: Array) -> tuple[Array, Array]:
     sign = np.where(here[:, 0] < 0.0, -1.0, 1.0)
     for one in (here, there):
         one[:, 0], one[:, 1] = sign * np.hypot(one[:, 0], one[:, 1]), 0.0
-    steady = _moving(here[:, 0]) & _steady(_moving(there[:, 0]) & ahead)
-    here[~steady, 2] = there[~steady, 2] = 0.0
+    here[:, 2] *= (steady := moving(here[:, 0]) & _steady(moving(there[:, 0]) & ahead))
+    there[:, 2] *= steady
     return here, there
 
 
 def _steady(moves: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return where windows (n,) and both neighbours that share no time with them move."""
-    steady = moves.copy()
-    for k in range(1, 5):
-        steady[k:] &= moves[:-k]
-        steady[:-k] &= moves[k:]
-    return steady
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(moves, 4, constant_values=True), 9)
+    return np.asarray(around.all(axis=1))
 
 
-def _moving(x: Array, side: int = 0) -> NDArray[np.bool_]:
+def moving(x: Array, side: int = 0) -> NDArray[np.bool_]:
     """Return where a motion (n,) is clearly not at rest, on one side of zero if one is named."""
     size = np.abs(x)
     big = size > _MOVING * np.percentile(size, 95.0) if len(x) else size > 0.0
@@ -396,8 +393,8 @@ class Pattern(NamedTuple):
     seen: str
     causes: str
     change: str
+    then: str
     find: Callable[..., Figures | None]
-    then: str = ""
     alone: bool = False
 
 
@@ -426,20 +423,17 @@ def first_look(look: Look) -> FirstLook:
     found: list[Mistake] = []
     gains = (1.0, 1.0)
     for pattern in PATTERNS:
-        if pattern is _MOTIONS[0]:
+        if pattern.name == "overflow":  # clocks are right from here on
             check_pair(*look.paths)
-        for n in (0, 1) if pattern.alone else (None,):
-            figures = pattern.find(look) if n is None else pattern.find(look, n)
-            if figures is None:
+        for which in ((0,), (1,)) if pattern.alone else ((),):
+            if (figures := pattern.find(look, *which)) is None:
                 continue
-            mistake = _mistake(pattern, look, figures)
-            gains, undo = figures.get("gains", gains), figures.get("undo")
-            if undo is None:
-                raise RecordingError(mistake.sentence)
-            i = figures.get("i", 0)
-            found.append(mistake)
+            found.append(_mistake(pattern, look, figures))
+            if (undo := figures.get("undo")) is None:
+                raise RecordingError(found[-1].sentence)
+            gains = figures.get("gains", gains)
             one, other = look.paths
-            look = replace(look, paths=(one, undo(other)) if i else (undo(one), other))
+            look = replace(look, paths=(one, undo(other)) if figures.get("i", 0) else (undo(one), other))
     return FirstLook(*look.paths, tuple(found), gains, look.words)
 
 
@@ -449,71 +443,12 @@ def mistakes_alone(path: Samples) -> list[Mistake]:
     return [_mistake(one, look, seen) for one in PATTERNS if one.alone and (seen := one.find(look, 0)) is not None]
 
 
-def check_alone(path: Samples) -> None:
-    """Refuse odometry that shows a plain mistake by itself."""
-    for mistake in mistakes_alone(path):
-        raise RecordingError(mistake.sentence)
-
-
 def _mistake(pattern: Pattern, look: Look, figures: Figures) -> Mistake:
     i = figures.get("i", 0)
     who = look.paths[i].name if "undo" in figures else look.paths[i].place
     words = {"who": who, "other": look.paths[1 - i].name} | figures
     words = {key: f"{value:.3g}" if isinstance(value, float) else value for key, value in words.items()}
-    texts = (pattern.seen, pattern.causes, pattern.change, pattern.then)
-    return Mistake(pattern.name, *(text.format(**words) for text in texts))
-
-
-_COPIED_WINDOW_S = 0.5
-_LAG_STEPS_S = (1.0, 0.02, 0.002, 0.0002)
-"""Largest lag of a copied travel, and steps of the search for it."""
-_NO_SENSOR_M, _NO_SENSOR = 1e-4, 5e-4
-"""Usual difference of travel in half a second, m and relative to the travel, that no sensor reaches: in 15 recordings
-by others it is 0.2 mm and more."""
-_ROUGH_M, _AS_ROUGH = 1e-6, 0.3
-"""Noise of odometry's steps, m, of which less is rounding of a smooth simulation; that of the truth relative to it."""
-
-
-def check_travel(odometry: Samples, truth: Samples) -> None:
-    """Refuse a truth whose travel is the odometry's with its noise, at whatever lag and rate.
-
-    Filters that take speed from the wheels and heading from a gyro have slip, ticks and noise of the wheels in their
-    travel. Exact poses of a simulator may agree as well, but they are smooth where the odometry has ticks.
-    """
-    if not truth.headed or truth.covariance is not None or truth.relative:
-        return
-    own, real = (_travel(path, int(odometry.stamps_ns[0])) for path in (odometry, truth))
-    rough_m, truly_m = (_noise_of_steps(np.diff(path.sums[:, 0])) for path in (own, real))
-    if rough_m < _ROUGH_M or truly_m < _AS_ROUGH * rough_m:
-        return
-    reach_s = _LAG_STEPS_S[0]
-    starts = np.arange(max(own.t_s[0], real.t_s[0]), min(own.t_s[-1], real.t_s[-1]), _COPIED_WINDOW_S)
-    starts = starts[(starts >= own.t_s[0] + reach_s) & (starts < own.t_s[-1] - reach_s - _COPIED_WINDOW_S)]
-    own_m = own.within(starts, _COPIED_WINDOW_S)[:, 0]
-    used = _moving(own_m)
-    if used.sum() < 2 * _FEWEST:
-        return
-    starts, own_m = starts[used], own_m[used]
-
-    def off_m(lag_s: float) -> float:
-        return float(np.median(np.abs(real.within(starts + lag_s, _COPIED_WINDOW_S)[:, 0] - own_m)))
-
-    lag_s = 0.0
-    for reach_s, step_s in pairwise(_LAG_STEPS_S):
-        lag_s = min(np.arange(lag_s - reach_s, lag_s + reach_s, step_s).tolist(), key=off_m)
-    found_m, gone_m = off_m(lag_s), float(np.median(np.abs(own_m)))
-    if found_m < min(_NO_SENSOR_M, _NO_SENSOR * gone_m):
-        raise RecordingError(
-            f"{truth.place}: repeats the travel of {odometry.name} with its noise and slip (usually to "
-            f"{found_m * 1e3:.2g} mm in {gone_m * 1e3:.0f}): a filter that takes its speed from these wheels, so that "
-            "errors of travel cannot be seen; name a truth that does not come from them"
-        )
-
-
-def _noise_of_steps(steps_m: Array) -> float:
-    """Return the usual noise of a step (n,) while the robot moves, from second differences of the steps, m."""
-    rough = np.abs(np.diff(steps_m, n=2))[_moving(steps_m)[2:]]
-    return float(np.median(rough)) / np.sqrt(20.0) if len(rough) else 0.0
+    return Mistake(pattern.name, *(text.format(**words) for text in pattern[1:5]))
 
 
 def factors_of(recordings: Sequence[Recording]) -> tuple[Effect, ...]:
@@ -538,9 +473,10 @@ def _moved_by(path: Samples, rows: Array) -> Samples:
     return replace(path, xyz=np.column_stack((moved[:, :2], path.xyz[:, 2])), yaw_rad=moved[:, 2])
 
 
-def _by(matrix: Array) -> Callable[[Samples], Samples]:
-    """Return the function that multiplies a trajectory's motions by a matrix (3, 3)."""
-    return lambda path: _moved_by(path, increments(path.trajectory().xyt).rows @ matrix.T)
+def _by(matrix: Array | Sequence[float]) -> Callable[[Samples], Samples]:
+    """Return the function that multiplies a trajectory's motions by a matrix (3, 3) or its diagonal (3,)."""
+    whole = np.diag(matrix) if np.ndim(matrix) == 1 else np.asarray(matrix)
+    return lambda path: _moved_by(path, increments(path.trajectory().xyt).rows @ whole.T)
 
 
 def _speed(look: Look, i: int) -> Figures | None:
@@ -555,7 +491,8 @@ def _mirrored_headings(look: Look, i: int) -> Figures | None:
     doubts = [(1.0 - own.agreement[0]) / (1.001 - own.agreement[1]) if own.chords else 0.0 for own in look.own]
     doubt, other = doubts[i], doubts[1 - i]
     alone = own.agreement[1] > _FOLLOWS and (own.agreement[0] < _CLEAR or doubt > 4.0 > 4.0 * other)
-    if own.chords < _FEWEST or not (alone or (look.hand * turn < -_UNCLEAR and doubt > max(other, 0.25))):
+    contradicted = look.hand * turn < -_UNCLEAR and doubt > max(other, 0.25)
+    if own.chords < _FEWEST or not (alone or contradicted) or _turn_between(look.paths[i]) > _LOST:
         return None
     axis = 1.0 if turn < 0.0 or look.hand > _UNCLEAR else -1.0
     undo = lambda path: replace(path, xyz=path.xyz * [1.0, axis, 1.0], yaw_rad=-axis * path.yaw_rad)  # noqa: E731
@@ -585,10 +522,9 @@ def _unit_of_headings(look: Look, i: int) -> Figures | None:
 def _folded(look: Look, i: int) -> Figures | None:
     """Find headings of half a circle alone: at its ends they jump."""
     path = look.paths[i]
-    steps = np.abs(np.diff(path.yaw_rad))
-    jumps = steps > 0.75 * np.pi
+    jumps = np.abs(np.diff(path.yaw_rad)) > 0.75 * np.pi
     half = path.headed and np.ptp(path.yaw_rad) < np.pi + 0.05 and look.own[i].fixed < _FOLLOWS
-    if not half or not 1 < jumps.sum() < 0.5 * len(steps):
+    if not half or not 1 < jumps.sum() < 0.5 * len(jumps):
         return None
 
     def undo(path: Samples) -> Samples:
@@ -605,8 +541,6 @@ def _unrelated(look: Look, i: int) -> Figures | None:
     undo = {"undo": lambda path: path.without_headings()} if i else {}
     turns = np.ptp(np.unwrap(beside.yaw_rad)) > 0.5 if beside.headed else own.agreement[0] < _CLEAR
     if path.headed and np.ptp(path.yaw_rad) < 1e-6 and turns:
-        return {"i": i, "what": "never change", **undo}
-    if path.headed and not beside.headed and np.ptp(path.yaw_rad) < 1e-6 and own.agreement[0] < _CLEAR:
         return {"i": i, "what": "never change", **undo}
     few = min(own.chords, other.chords) < 3 * _FEWEST
     if few or max(own.agreement) > _CLEAR or other.agreement[0] < _FOLLOWS or abs(look.correlations[2, 2]) > _UNCLEAR:
@@ -629,6 +563,13 @@ def _upright(look: Look) -> Figures | None:
     return None
 
 
+def _stamp_unit(look: Look) -> Figures | None:
+    for i, unit in enumerate({10**6: "milliseconds", 10**3: "microseconds"}.get(p.tick_ns) for p in look.paths):
+        if unit and look.paths[1 - i].tick_ns == 10**9:
+            return {"i": i, "unit": unit, "undo": lambda path: path}
+    return None
+
+
 def _rate(look: Look) -> Figures | None:
     """Find a clock of another rate or unit: motions correlate after stretching it, by log times or to equal spans."""
     # without log times both are taken to last as long, and the less usual period of messages is at fault
@@ -643,8 +584,9 @@ def _rate(look: Look) -> Figures | None:
         return None
 
     def undo(path: Samples) -> Samples:
-        first = path.stamps_ns[0]
-        return path.stamped(first + np.round((path.stamps_ns - first) * factor).astype(np.int64))
+        beside = look.paths[1 - i]
+        start = beside.stamps_ns[0] + (path.log_ns[0] - beside.log_ns[0] if logged else 0)
+        return path.stamped(start + np.round((path.stamps_ns - path.stamps_ns[0]) * factor).astype(np.int64))
 
     def alike(one: Samples, other: Samples, *, from_start: bool) -> float:
         reach_s = min(60.0, one.span_s / 2.0, other.span_s / 2.0)
@@ -675,72 +617,66 @@ def _late(look: Look) -> Figures | None:
 
 
 _WHEELS = {
-    2: ("left", "right"), 4: ("front left", "front right", "rear left", "rear right"),
+    2: (("left", "right"), np.array(((1.0, -1.0), (1.0, 1.0)))),
+    4: (("front left", "front right", "rear left", "rear right"),
+        np.array(((1.0, -1.0, -1.0), (1.0, 1.0, 1.0), (1.0, 1.0, -1.0), (1.0, -1.0, 1.0)))),
 }  # fmt: skip
-_ROLLS = {
-    2: np.array(((1.0, 0.0, -1.0), (1.0, 0.0, 1.0))),
-    4: np.array(((1.0, -1.0, -1.0), (1.0, 1.0, 1.0), (1.0, 1.0, -1.0), (1.0, -1.0, 1.0))),
-}
-"""How far two wheels, or four that drive sideways, roll by a motion, turns in units of their arm."""
+"""Two wheels, or four that drive sideways, and how far they roll by a motion, turns in units of their arm."""
 
 
 def _wheel_gains(look: Look) -> Figures | None:
-    """Find wheels that count by unequal factors g: motions are J' diag(g) J / n times the truth's, J of `_ROLLS`."""
+    """Find wheels that count by unequal factors g: motions are J' diag(g) J / n times the truth's, J of `_WHEELS`."""
     here, there, _ = look.motions
-    rolls = _ROLLS[4 if np.std(here[:, 1]) > 0.1 * np.std(here[:, 0]) else 2]
-    axes = [0, 1, 2] if len(rolls) == 4 else [0, 2]
+    axes = [0, 1, 2] if np.std(here[:, 1]) > 0.1 * np.std(here[:, 0]) else [0, 2]
+    names, rolls = _WHEELS[2 * len(axes) - 2]
     trials = [there]
     if not look.paths[1].headed:  # speeds then have the sign of one of the odometry's motions
-        used = _steady(_moving(np.hypot(there[:, 0], there[:, 1])))
-        here, there = here[used], there[used]
         speed = np.hypot(there[:, 0], there[:, 1])
+        used = _steady(moving(speed))
+        here, there, speed = here[used], there[used], speed[used]
         trials = [np.column_stack((np.sign(here[:, k]) * speed, 0.0 * speed, there[:, 2])) for k in (0, 2)]
     if len(here) < _FEWEST:
         return None
-    small, explained = max((_linear(x[:, axes], here[:, axes]) for x in trials), key=lambda found: found[1])
+    matrix, explained = max((_linear(x[:, axes], here[:, axes]) for x in trials), key=lambda found: found[1])
     own, real = (float(_correlations(x, x)[0, 2]) for x in (here, there))
     if len(rolls) == 2 and abs(own) > 0.999 and abs(real) < 0.95:
         # odometry that pivots about one wheel, whatever the truth's turns: that wheel counts nothing
         curvature = float(np.copysign(np.linalg.norm(here[:, 2]) / np.linalg.norm(here[:, 0]), own))
-        small = small[0, 0] * np.array(((1.0, 1.0 / curvature), (curvature, 1.0)))
-    matrix = np.zeros((3, 3))
-    matrix[np.ix_(axes, axes)] = small
-    if matrix[0, 2] * matrix[2, 0] < 0.0 and not look.paths[1].headed:
+        matrix = matrix[0, 0] * np.array(((1.0, 1.0 / curvature), (curvature, 1.0)))
+    if matrix[0, -1] * matrix[-1, 0] < 0.0 and not look.paths[1].headed:
         matrix[:, 0] *= -1.0
-    by_turn, by_travel = np.abs(matrix[:2, 2]).sum(), np.abs(matrix[2, :2]).sum()
-    if explained < _FOLLOWS or min(by_turn, by_travel) < 1e-6 or by_turn > by_travel:
+    by_turn, by_travel = np.abs(matrix[:-1, -1]).sum(), np.abs(matrix[-1, :-1]).sum()
+    if explained < _FOLLOWS or not 1e-6 < by_turn < by_travel:
         return None
-    arm_m = float(np.sqrt(by_turn / by_travel))
-    scaled = matrix * [1.0, 1.0, 1.0 / arm_m] * np.array((1.0, 1.0, arm_m))[:, None]
+    arm_m = np.array((*axes[1:], np.sqrt(by_turn / by_travel))) ** (np.array(axes) == 2)
+    scaled = matrix / arm_m * arm_m[:, None]
     mean = np.diag(np.diag(scaled))
-    between = np.einsum("ij,jk,ik->i", rolls, scaled - mean, rolls) / 2.0
-    gains = np.trace(mean) / len(axes) + between
+    gains = np.trace(mean) / len(axes) + np.einsum("ij,jk,ik->i", rolls, scaled - mean, rolls) / 2.0
     most = float(np.abs(gains).max())
-    made = rolls.T @ (gains[:, None] * rolls) / len(rolls)
-    if np.abs(made - scaled).max() > 0.2 * most or np.ptp(gains) < (1.0 - 1.0 / _WRONG) * most:
+    off = np.abs(rolls.T @ (gains[:, None] * rolls) / len(rolls) - scaled).max()
+    if off > 0.2 * most or np.ptp(gains) < (1.0 - 1.0 / _WRONG) * most:
         return None
-    names = _WHEELS[len(rolls)]
     dead, reverse = np.abs(gains) < 0.1 * most, gains < -0.3 * most
     wrong = next(x for x in (reverse, dead, np.abs(gains - 1.0) > 0.15, gains < np.inf) if x.any())
     which = " and ".join(np.array(names)[wrong]) + (" wheel" if wrong.sum() == 1 else " wheels")
     factor = float(np.mean(gains[wrong]))
+    cause = f"ticks per turn, gear ratio or radius of the {which} wrong by this factor"
+    change = f"multiply the counts of the {which} by {1.0 / (factor or 1.0):.3g}{_hint(abs(factor) or 1.0, _OF_TRAVEL)}"
     if reverse.any():
         cause = f"the {which} counts the wrong way: channels A and B of its encoder, or its motor, are exchanged"
         change = f"negate the counts of the {which}"
     elif dead.any():
         cause, change = f"the {which} counts nothing: its encoder, cable or topic", _RECORD
-    else:
-        cause = f"ticks per turn, gear ratio or radius of the {which} wrong by this factor{_hint(factor)}"
-        change = f"multiply the counts of the {which} by {1.0 / factor:.3g}"
     figures: Figures = {
         "each": ", ".join(f"{name} {gain:.2f}" for name, gain in zip(names, gains.tolist(), strict=True)),
-        "arm_m": arm_m, "explained": f"{explained:.1%}", "cause": cause, "change": change, "then": "",
+        "explained": f"{explained:.1%}", "cause": cause, "change": change, "then": "",
     }  # fmt: skip
     if len(rolls) == 4 or not dead.any():
         # the arm is no better known than the gains, so only what the change says is undone
         mended = np.where(wrong, -1.0 if reverse.any() else gains, 1.0)
-        back = np.linalg.pinv(rolls.T @ (mended[:, None] * rolls) / len(rolls))
-        back *= np.array((1.0, 1.0, 1.0 / arm_m))[:, None] * [1.0, 1.0, arm_m]
+        back = np.eye(3)
+        back[np.ix_(axes, axes)] = np.linalg.pinv(rolls.T @ (mended[:, None] * rolls) / len(rolls))
+        back[np.ix_(axes, axes)] *= arm_m / arm_m[:, None]
         figures |= {"undo": _by(back), "then": "this is undone in the odometry, and not in the model"}
     return figures
 
@@ -750,7 +686,7 @@ def _reversed(look: Look, turn: float) -> Figures | None:
     c = look.correlations
     if not look.paths[1].headed or c[0, 0] > -_CLEAR or min(c[2, 2] * turn, look.hand * turn + 1.0) < _CLEAR:
         return None
-    return {"corr": float(c[0, 0]), "undo": _by(np.diag((-1.0, -1.0, turn)))}
+    return {"corr": float(c[0, 0]), "undo": _by((-1.0, -1.0, turn))}
 
 
 def _sideways(look: Look) -> Figures | None:
@@ -765,16 +701,28 @@ def _sideways(look: Look) -> Figures | None:
     return None
 
 
+def _aside(look: Look) -> Figures | None:
+    """Find travel sideways of another sign or size while travel forwards and turns agree."""
+    c, side = look.correlations, look.ratio(1)
+    drives = all(np.std(x[:, 1]) > _MOVING * np.std(x[:, 0]) for x in look.windows[:2])
+    clear = min(abs(c[1, 1]), c[0, 0], c[2, 2] + 1.0) > _CLEAR and side.number >= _FEWEST and side.spread < 0.5
+    size = abs(side.value) / look.scales[0].value
+    wrong = not 1.0 / _SKIDS < size < _WRONG
+    if not drives or not clear or not look.paths[1].headed or (c[1, 1] > 0.0 and not wrong):
+        return None
+    how = " and ".join(["the other way than"] * int(c[1, 1] < 0.0) + [_far(size)] * wrong)
+    return {"how": how, "undo": _by((1.0, np.copysign(size, c[1, 1]), 1.0))}
+
+
 def _exchanged(look: Look) -> Figures | None:
-    c = look.correlations
-    turn, hand = float(c[2, 2]), look.hand
+    c, hand = look.correlations, look.hand
+    turn = float(c[2, 2])
     corr = min(turn, hand * _CLEAR / _UNCLEAR)
     if corr > -_CLEAR or c[0, 0] < _CLEAR or max(hand, turn) > _UNCLEAR:
         return None
     fault, source = look.at_fault()
     if c[1, 1] > _CLEAR:
-        words = "sideways they agree"
-        return {"corr": corr, "fault": words, "undo": _by(np.diag((1.0, 1.0, -1.0)))}
+        return {"corr": corr, "fault": "sideways they agree", "undo": _by((1.0, 1.0, -1.0))}
     words = "whether the odometry or the truth is wrong, these data do not show"
     if fault is not None:
         words = f"{source} turns as {look.paths[1 - fault].name} does, so {look.paths[fault].name} is wrong"
@@ -783,25 +731,51 @@ def _exchanged(look: Look) -> Figures | None:
 
 
 def _overflows(look: Look, i: int) -> Figures | None:
-    """Find steps of odometry that are far longer than usual and of about equal length."""
+    """Find increments of a wheel, or of the travel, that jump by one length: the range of its counter."""
     rows = increments(look.paths[0].trajectory().xyt).rows
+    steps = np.abs(np.diff(rows[:, [0, 2]], axis=0))
+    both = steps[(steps > np.sort(steps, axis=0)[-3:][:1] / 4.0).all(axis=1)]
+    # where one wheel's increments jump, travel changes by half of it and the heading by it over the track
+    arms_m = [float(np.median(both[:, 0] / both[:, 1]))] if len(both) > 2 else []
+    for arm_m in (*arms_m, 0.0) if i == 0 and len(rows) >= FEWEST else ():
+        wheels = rows[:, 0] + np.array(sorted({-arm_m, arm_m}))[:, None] * rows[:, 2]
+        jump = np.abs(np.diff(wheels, axis=1))
+        wheel_m = float(np.median(jump[jump >= np.sort(jump, axis=None)[-3] / 2.0]))
+        same = np.abs(jump - wheel_m) < 0.15 * wheel_m
+        if same.sum() < 3:
+            continue
+        real = np.unwrap(wheels, period=wheel_m, axis=1)
+        count = int(np.sum(np.abs(real - wheels) > wheel_m / 2.0))
+        few = np.sum(jump > 0.3 * wheel_m) > 1.1 * same.sum() or np.percentile(np.abs(wheels), 99.0) > 1.2 * wheel_m
+        few |= np.ptp(np.percentile(real, (5.0, 95.0), axis=1), axis=0).max() < 0.03 * wheel_m
+        # headings that turn by more than half a turn reverse increments, whose size stays
+        few |= np.median(np.abs(np.diff(np.abs(wheels), axis=1))[same]) < 0.1 * wheel_m
+        if count > 2 + 0.01 * len(rows) and not few:
+            rows[:, 0] = real.mean(axis=0)
+            rows[:, 2] = (real[1] - real[0]) / (2.0 * arm_m) if arm_m else rows[:, 2]
+            return _counter(count, wheel_m, real, rows)
+    # jumps that turn a robot by more than half a turn have another sign; rare ones are bridged
     size = np.hypot(rows[:, 0], rows[:, 1])
-    at = np.flatnonzero(size > 10.0 * np.percentile(size[size > 0.0], 90.0)) if size.any() else np.zeros(0, int)
-    if i or not 1 < len(at) < 0.05 * len(rows):
+    far = size > 10.0 * np.percentile(size[size > 0.0], 80.0) if size.any() else size > 0.0
+    if i or not 1 < far.sum() < 0.2 * len(far):
         return None
-    before = np.maximum(at - 1, 0)
-    wheel_m = 2.0 * float(np.median(size[at] + size[before]))  # the wheel goes on meanwhile
-    if np.mean(np.abs(2.0 * size[at] - wheel_m) < 0.1 * wheel_m) < 0.5:
+    n = np.arange(len(rows))
+    usual = np.stack([np.interp(n, n[~far], x[~far]) for x in rows.T], axis=1)
+    wheel_m = 2.0 * float(np.median(size[far] + np.abs(usual[far, 0])))  # the wheel goes on meanwhile
+    if np.mean(np.abs(2.0 * size[far] - wheel_m) < 0.1 * wheel_m) < 0.5:
         return None
-    steps = np.unique(np.round(np.abs(2.0 * np.delete(rows[:, 0], at)), 9))
-    gaps = np.diff(steps[steps < 0.1 * wheel_m])
+    return _counter(int(far.sum()), wheel_m, 2.0 * rows[~far, 0], usual)
+
+
+def _counter(count: int, wheel_m: float, increments_m: Array, rows: Array) -> Figures:
+    """Return the figures of a counter of a range in metres that overflows; its ticks are gaps of increments."""
+    gaps = np.diff(np.unique(np.round(np.abs(increments_m), 9)))
     gaps = gaps[gaps > 1e-8]
     tick = float(np.median(gaps[gaps < 1.5 * gaps.min()])) if len(gaps) else np.inf
     bits = round(power := float(np.log2(max(wheel_m / tick, 1.0))))
     known = bits > 7 and abs(power - bits) < 0.02
     width = f"2^{bits} ticks of {tick * 1e3:.3g} mm: a counter of {bits} bits" if known else "often 16 bits"
-    rows[at] = rows[before]
-    return {"count": len(at), "wheel_m": wheel_m, "width": width, "undo": lambda path: _moved_by(path, rows)}
+    return {"count": count, "wheel_m": wheel_m, "width": width, "undo": lambda path: _moved_by(path, rows)}
 
 
 def _one_way(look: Look, axis: int) -> Figures | None:
@@ -809,13 +783,21 @@ def _one_way(look: Look, axis: int) -> Figures | None:
     here, there, _ = look.windows
     # beside a centre of turning, a tracked point goes back in turns on the spot
     straight = np.abs(there[:, 0]) > 0.5 * np.abs(there[:, 2]) if axis == 0 else np.ones(len(here), dtype=bool)
+    if axis == 0 and not look.paths[1].headed and np.percentile(here[:, 0], 1.0) >= 0.0:
+        # beside positions, reverse is where turns are opposite though travel agrees
+        turning = moving(there[:, 2]) & moving(here[:, 2])
+        ratio = here[turning, 2] / there[turning, 2]
+        back, alike = ratio < 0.0, np.abs(np.log(np.abs(ratio))) < np.log(_SKIDS)
+        enough = back.sum() >= _FEWEST and 0.1 < back.mean() < 0.9
+        if enough and alike.mean() > 2.0 * _UNCLEAR:
+            return {"share": f"{back.mean():.0%}", "how": "turns the other way there"}
     for side in (-1, 1) if look.paths[1].headed else ():
-        real, counted = _moving(there[:, axis], side) & straight, _moving(here[:, axis], side)
+        real, counted = moving(there[:, axis], side) & straight, moving(here[:, axis], side)
         if not real.any() or real.sum() < max(0.01 * len(real), 10.0 * counted.sum()):
             continue
         ahead = np.median(here[real, axis] / there[real, axis]) < -0.5
         enough = real.sum() >= (_FEWEST / 2.0 if ahead else _FEWEST)
-        other = _moving(there[:, axis], -side)
+        other = moving(there[:, axis], -side)
         low, high = np.percentile(here[other, axis] / there[other, axis], (25.0, 75.0)) if other.any() else (0.0, 0.0)
         if enough and 0.0 < high < 2.0 * low and np.mean(here[real, axis] * side > 0.0) < 0.1:
             how = "drives forwards there" if ahead else "stands there"
@@ -841,10 +823,24 @@ def _stands(look: Look) -> Figures | None:
     return {"lost": f"{lost_s:.0f}", "share": f"{lost.sum() / moves.sum():.0%}", "undo": undo}
 
 
+def _turn_between(path: Samples) -> float:
+    """Return the usual largest turn from one message to the next, rad."""
+    return float(np.percentile(np.abs(wrap(np.diff(path.yaw_rad))), 95.0))
+
+
+def _turns_too_far(look: Look) -> Figures | None:
+    """Find odometry that turns by about half a turn and more from one message to the next, unlike the truth."""
+    path, (_, there, _), most = look.paths[0], look.windows, _turn_between(look.paths[0])
+    usual = float(np.percentile(np.abs(there[:, 2]), 95.0)) * path.span_s / len(path) / look.window_s
+    if abs(look.correlations[2, 2]) > _CLEAR or most < _LOST or usual > _LOST / 10.0:
+        return None
+    return {"most": np.degrees(most), "usual": np.degrees(usual)}
+
+
 def _turns_otherwise(look: Look) -> Figures | None:
     """Find odometry whose travel is the truth's and whose turns are not."""
     c, (here, there, _) = look.correlations, look.windows
-    used = _moving(there[:, 0])
+    used = moving(there[:, 0])
     turns = [float(np.sqrt(np.mean(x[used, 2] ** 2))) for x in (here, there)] if used.any() else [0.0]
     few = min(turns) < _FEW_TURNS or used.sum() < 5 * _FEWEST
     if few or abs(c[2, 2]) > _UNCLEAR or np.corrcoef(here[:, 0], there[:, 0])[0, 1] < _FOLLOWS:
@@ -853,8 +849,8 @@ def _turns_otherwise(look: Look) -> Figures | None:
 
 
 def _truth_unit(look: Look) -> Figures | None:
-    k, speeds = look.travel.value, [own.speed_mps for own in look.own]
-    unit = next((name for name, per_m in UNITS.items() if look.travel.sure and abs(k / per_m - 1.0) < 0.1), None)
+    (k, *_), speeds = look.scales[0], [own.speed_mps for own in look.own]
+    unit = next((name for name, per_m in UNITS.items() if look.scales[0].sure and abs(k / per_m - 1.0) < 0.1), None)
     if unit is None or speeds[1] < _ROBOT_MPS or speeds[0] > _ROBOT_MPS:
         return None
     return {"i": 1, "far": k, "unit": unit, "speed": speeds[1], "undo": lambda p: replace(p, xyz=p.xyz / UNITS[unit])}
@@ -862,35 +858,38 @@ def _truth_unit(look: Look) -> Figures | None:
 
 def _ratios(look: Look, travel: bool, turn: bool, *, alike: bool = False) -> Figures | None:  # noqa: FBT001
     """Find which of travel and turns are plainly wrong, by the same factor or not."""
-    v, w = look.travel, look.turn
-    wrong = v.beyond(_WRONG)
+    v, w = look.scales
     # chords of positions smooth turns
     same = v.sure and w.sure and abs(v.value / w.value - 1.0) < (_ALIKE if look.paths[1].headed else 4.0 * _ALIKE)
-    if (wrong, w.beyond(_WRONG, _WRONG if wrong else _SKIDS)) != (travel, turn) or same is not alike:
-        return None
-    if not w.sure and look.turns > _FEW_TURNS:
+    wrong = v.beyond(_WRONG) or (same and w.beyond(_WRONG))
+    turns = w.beyond(_WRONG, _WRONG if wrong else _SKIDS) or (same and wrong)
+    few = not w.sure and (look.turns > _FEW_TURNS or v.spread > 2.0 * _ALIKE)
+    if (wrong, turns) != (travel, turn) or same is not alike or few:
         return None
     gains = v.value if travel else 1.0, v.value if alike else w.value if turn else 1.0
-    sides = [look.ratio(2, side=side) for side in (1, -1)]
-    large = [max(k, 1.0 / k) for k in gains]
-    far = [f"{x:.3g} times {'less than' if k > 1.0 else 'as far as'}" for x, k in zip(large, gains, strict=True)]
-    beside = ", left and right alike" if all(s.sure for s in sides) else ""
-    if beside and abs(sides[0].value / sides[1].value - 1.0) > 2.0 * _ALIKE:
-        beside = f", left {sides[0].value:.3g} and right {sides[1].value:.3g} times"
+    left, right = (look.ratio(2, side) for side in (1, -1))
+    beside = ", left and right alike" if left.sure and right.sure else ""
+    if beside and abs(left.value / right.value - 1.0) > 2.0 * _ALIKE:
+        beside = f", left {left.value:.3g} and right {right.value:.3g} times"
     separation = gains[0] / gains[1]
     return {
-        "travels": far[0], "turns": far[1], "hint": _hint(gains[0]), "hint_turn": _hint(separation), "v": gains[0],
-        "gains": gains, "separation": separation, "sides": beside,
+        "travels": _far(gains[0]), "turns": _far(gains[1]), "hint": _hint(gains[0], _OF_TRAVEL),
+        "hint_turn": _hint(separation, _OF_TURNS),
+        "v": gains[0], "gains": gains, "separation": separation, "sides": beside,
         "agree": f"turns {'agree' if w.sure else 'are too few to compare'}",
         "track": f" ({look.track_m:.4g} -> {look.track_m * separation:.4g} m)" if look.track_m else "",
         "truth": "; or lengths of the truth in another unit" if gains[0] > 1.0 else "",
-        "undo": _by(np.diag((gains[0], *gains))),
+        "undo": _by((gains[0], *gains)),
     }  # fmt: skip
 
 
-def _hint(factor: float) -> str:
-    """Return the likely cause of a factor near one of `_HINTS` or its inverse, in brackets."""
-    off = {said: abs(np.log(max(factor, 1.0 / factor) / near)) for near, said in _HINTS.items()}
+def _far(gain: float) -> str:
+    return f"{max(gain, 1.0 / gain):.3g} times {'less than' if gain > 1.0 else 'as far as'}"
+
+
+def _hint(factor: float, causes: dict[float, str]) -> str:
+    """Return the cause of the nearest of some factors or their inverses, in brackets."""
+    off = {said: abs(np.log(max(factor, 1.0 / factor) / near)) for near, said in causes.items()}
     nearest = min(off, key=off.__getitem__)
     return f" ({nearest})" if off[nearest] < 1.5 * _ALIKE else ""
 
@@ -899,137 +898,98 @@ _RECORD = "mend it and record again"
 _KEPT = "the model has the factor, and is of this odometry as it is"
 
 # fmt: off
-_CLOCKS = (
-    Pattern(
-        "clock rate",
-        "{who}: its clock advances {rate} s in a second of {other}'s{doubt} (stretched, motions correlate by {best})",
-        "stamps in another unit, or counted at another rate; a simulation slower than its clock",
-        "give stamps of one clock in seconds", _rate, "its stamps are multiplied by {factor}",
-    ),
-)
-_MOTIONS = (
-    Pattern(
-        "overflow", "{who}: {count} jumps of the same size, {wheel_m} m of one wheel", "a counter overflows: {width}",
-        "subtract counts as signed integers of the counter's width", _overflows, "the jumps are taken out", alone=True,
-    ),
-    Pattern(
-        "speed", "{who}: usually moves at {speed} m/s", "millimetres for metres", "give metres (columns x_mm, y_mm)",
-        _speed, "its lengths are divided by 1000", alone=True,
-    ),
-    Pattern(
-        "quaternion without w",
-        "{who}: its orientations are no unit quaternions (w is 0 in all): its headings never change",
-        "w was never set beside z = sin(yaw / 2)",
-        "set w = cos(yaw / 2), or make poses of its twists with `odomcorrupt integrate`",
-        lambda look, i: {"i": i} if look.paths[i].no_w and look.own[i].fixed > _FOLLOWS else None, alone=True,
-    ),
-    Pattern(
-        "unit of headings", "{who}: its headings, not its path, are of another unit: {unit}",
-        "degrees given to a function of radians, or the other way round; a column with the wrong name",
-        "name the column yaw_deg or yaw_rad, as it is; for a bag, convert before making quaternions", _unit_of_headings,
-        "its headings are multiplied by {factor}", alone=True,
-    ),
-    Pattern(
-        "folded headings", "{who}: its headings are of half a circle alone, and jump by 180 deg {count} times",
-        "an arc cosine or tangent of one argument; an angle modulo 180 deg", "take atan2 of both components", _folded,
-        "the jumps are undone", alone=True,
-    ),
-    Pattern(
-        "mirrored headings", "{who}: its headings turn the other way than its path does",
-        "an axis is mirrored; compass headings", "turn a compass by 90 deg - yaw, or flip the axis", _mirrored_headings,
-        "mirrored so that it turns as {other} does", alone=True,
-    ),
-    Pattern(
-        "plane", "{who}: moves in its {plane} plane, not in x-y: {up} points up there", "axes of a camera or of a game",
-        "turn it so that z points up", _upright, "turned so; its positions alone are used",
-    ),
-    Pattern(
-        "headings of the truth", "{who}: its headings do not follow its own path: they {what}",
-        "its attitude turns about another axis (y up); orientation not estimated; another body", "publish yaw about z",
-        lambda look: _unrelated(look, 1), "its positions alone are used",
-    ),
-    Pattern(
-        "headings of the odometry", "{who}: its headings do not follow its own path: they {what}",
-        "orientation never filled in, or filled from another source than the position", _RECORD,
-        lambda look: _unrelated(look, 0),
-    ),
-    Pattern(
-        "late clock",
-        "{who}: its clock is {off} s {side} the odometry's (motions correlate by {best} there, by {near} as they are)",
-        "clocks that are not synchronised; one of the files began later", "give --truth-shift {shift}", _late,
-    ),
-    Pattern(
-        "stands still", "{who} stands still for {lost} s while {other} moves ({share} of its motion)",
-        "messages repeated by a driver that lost its wheels; a cable; wheels that are lifted", _RECORD, _stands,
-        "these stretches are left out",
-    ),
-    Pattern(
-        "wheel gains", "{who} moves as with wheels that count {each} times their way (this explains {explained})",
-        "{cause}", "{change}", _wheel_gains, "{then}",
-    ),
-    Pattern(
-        "forward is -x",
-        "{who} drives backwards where the truth drives forwards (correlation {corr}); turns agree",
-        "the base frame looks backwards; both wheels are negated and exchanged; the truth is mounted backwards",
-        "negate and exchange left and right, or turn the base frame by 180 deg", lambda look: _reversed(look, 1.0),
-        "the odometry is turned by 180 deg",
-    ),
-    Pattern(
-        "both wheels negated", "{who} drives backwards and turns right where the truth drives ahead and turns left",
-        "both encoders count the wrong way", "negate the counts of both wheels", lambda look: _reversed(look, -1.0),
-        "the odometry's motions are negated",
-    ),
-    Pattern(
-        "forward is y", "{who} drives along its {side} axis where {other} drives along x (correlation {corr})",
-        "x and y exchanged; a base or a marker turned by 90 deg", "turn its frame by 90 deg", _sideways,
-        "turned by 90 deg",
-    ),
-    Pattern(
-        "left and right exchanged", "odometry and truth turn opposite ways (correlation {corr}): {fault}",
-        "left and right wheels or encoders exchanged; an axis of the truth mirrored, or compass headings",
-        "exchange left and right, or flip the axis", _exchanged, "{who} is mirrored",
-    ),
-    Pattern(
-        "never reverses", "{who} never drives in reverse, the truth does in {share} of its time; it {how}",
-        "encoders without direction (one channel, or a counter that cannot count down); unsigned speeds",
-        "count both channels, or give speeds the sign of the command; " + _RECORD, lambda look: _one_way(look, 0),
-    ),
-    Pattern(
-        "never turns one way", "{who} never turns {side}, the truth does in {share} of its time",
-        "an unsigned yaw rate, or an angle from an arc cosine", "keep the sign; " + _RECORD,
-        lambda look: _one_way(look, 2),
-    ),
-    Pattern(
-        "turns otherwise",
-        "{who} travels as the truth does, but its turns do not follow the truth's (correlation {corr})",
-        "degrees given to a tangent or sine; the angle of another joint or axis", _RECORD, _turns_otherwise,
-    ),
-    Pattern(
-        "unit of the truth", "{who} travels {far} times as far as {other}, usually at {speed} m/s",
-        "{unit} for metres", "give metres (columns x_mm, y_cm, z_ft name their unit)", _truth_unit, "taken as {unit}",
-    ),
-    Pattern(
-        "wheel radius", "{who} travels and turns {travels} the truth, by the same factor",
-        "wheel radius, gear ratio or ticks per turn wrong by this factor{hint}", "`wheel_radius` x {v}",
-        lambda look: _ratios(look, True, True, alike=True), _KEPT,
-    ),
-    Pattern(
-        "wheel separation", "{who} turns {turns} the truth{sides}; travel agrees",
-        "wheel separation (or steering ratio, or gyro scale) wrong by this factor{hint_turn}",
-        "`wheel_separation` x {separation}{track}", lambda look: _ratios(look, False, True), _KEPT,
-    ),
-    Pattern(
-        "travel", "{who} travels {travels} the truth; {agree}",
-        "gear ratio, ticks per turn or wheel radius, and headings from a gyro{hint}{truth}", "`wheel_radius` x {v}",
-        lambda look: _ratios(look, True, False), _KEPT,
-    ),
-    Pattern(
-        "travel and turns", "{who} travels {travels} the truth, and turns {turns} it",
-        "wheel radius (gear ratio, ticks per turn){hint}, and wheel separation{hint_turn}",
-        "`wheel_radius` x {v}, `wheel_separation` x {separation}{track}",
-        lambda look: _ratios(look, True, True), _KEPT,
-    ),
+PATTERNS = (
+    Pattern("unit of stamps", "{who}: its stamps are {unit}, those of {other} are seconds", "a column of another unit",
+            "name the column t_ms or t_us, or give seconds", "read as {unit}", _stamp_unit),
+    Pattern("clock rate",
+            "{who}: its clock advances {rate} s in a second of {other}'s{doubt} (stretched, motions correlate by "
+            "{best})", "stamps in another unit, or counted at another rate; a simulation slower than its clock",
+            "give stamps of one clock in seconds", "its stamps are multiplied by {factor}", _rate),
+    Pattern("overflow", "{who}: {count} jumps of the same size, {wheel_m} m of one wheel",
+            "a counter overflows: {width}", "subtract counts as signed integers of the counter's width",
+            "the jumps are taken out", _overflows, alone=True),
+    Pattern("speed", "{who}: usually moves at {speed} m/s", "millimetres for metres",
+            "give metres (columns x_mm, y_mm)", "its lengths are divided by 1000", _speed, alone=True),
+    Pattern("quaternion without w",
+            "{who}: its orientations are no unit quaternions (w is 0 in all): its headings never change",
+            "w was never set beside z = sin(yaw / 2)",
+            "set w = cos(yaw / 2), or make poses of its twists with `odomcorrupt integrate`", "",
+            lambda look, i: {"i": i} if look.paths[i].no_w and look.own[i].fixed > _FOLLOWS else None, alone=True),
+    Pattern("unit of headings", "{who}: its headings, not its path, are of another unit: {unit}",
+            "degrees given to a function of radians, or the other way round; a column with the wrong name",
+            "name the column yaw_deg or yaw_rad, as it is; for a bag, convert before making quaternions",
+            "its headings are multiplied by {factor}", _unit_of_headings, alone=True),
+    Pattern("folded headings", "{who}: its headings are of half a circle alone, and jump by 180 deg {count} times",
+            "an arc cosine or tangent of one argument; an angle modulo 180 deg", "take atan2 of both components",
+            "the jumps are undone", _folded, alone=True),
+    Pattern("mirrored headings", "{who}: its headings turn the other way than its path does",
+            "an axis is mirrored; compass headings", "turn a compass by 90 deg - yaw, or flip the axis",
+            "mirrored so that it turns as {other} does", _mirrored_headings, alone=True),
+    Pattern("plane", "{who}: moves in its {plane} plane, not in x-y: {up} points up there",
+            "axes of a camera or of a game", "turn it so that z points up",
+            "turned so; its positions alone are used", _upright),
+    Pattern("headings of the truth", "{who}: its headings do not follow its own path: they {what}",
+            "its attitude turns about another axis (y up); orientation not estimated; another body",
+            "publish yaw about z", "its positions alone are used", lambda look: _unrelated(look, 1)),
+    Pattern("headings of the odometry", "{who}: its headings do not follow its own path: they {what}",
+            "orientation never filled in, or filled from another source than the position", _RECORD, "",
+            lambda look: _unrelated(look, 0)),
+    Pattern("late clock",
+            "{who}: its clock is {off} s {side} the odometry's (motions correlate by {best} there, by {near} as they "
+            "are)", "clocks that are not synchronised; one of the files began later", "give --truth-shift {shift}", "",
+            _late),
+    Pattern("stands still", "{who} stands still for {lost} s while {other} moves ({share} of its motion)",
+            "messages repeated by a driver that lost its wheels; a cable; wheels that are lifted", _RECORD,
+            "these stretches are left out", _stands),
+    Pattern("turns too far",
+            "{who} turns by {most} deg and more between messages, {other} by {usual}: beyond 180 deg turns are lost",
+            "wheel separation much too small (centimetres or millimetres for metres); degrees for radians",
+            "give lengths in metres and angles in radians; " + _RECORD, "", _turns_too_far),
+    Pattern("wheel gains", "{who} moves as with wheels that count {each} times their way (this explains {explained})",
+            "{cause}", "{change}", "{then}", _wheel_gains),
+    Pattern("forward is -x", "{who} drives backwards where the truth drives forwards (correlation {corr}); turns agree",
+            "the base frame looks backwards; both wheels are negated and exchanged; the truth is mounted backwards",
+            "negate and exchange left and right, or turn the base frame by 180 deg",
+            "the odometry is turned by 180 deg", lambda look: _reversed(look, 1.0)),
+    Pattern("both wheels negated",
+            "{who} drives backwards and turns right where the truth drives ahead and turns left",
+            "both encoders count the wrong way", "negate the counts of both wheels",
+            "the odometry's motions are negated", lambda look: _reversed(look, -1.0)),
+    Pattern("forward is y", "{who} drives along its {side} axis where {other} drives along x (correlation {corr})",
+            "x and y exchanged; a base or a marker turned by 90 deg", "turn its frame by 90 deg", "turned by 90 deg",
+            _sideways),
+    Pattern("left and right exchanged", "odometry and truth turn opposite ways (correlation {corr}): {fault}",
+            "left and right wheels or encoders exchanged; an axis of the truth mirrored, or compass headings",
+            "exchange left and right, or flip the axis", "{who} is mirrored", _exchanged),
+    Pattern("never reverses", "{who} never drives in reverse, the truth does in {share} of its time; it {how}",
+            "encoders without direction (one channel, or a counter that cannot count down); unsigned speeds",
+            "count both channels, or give speeds the sign of the command; " + _RECORD, "",
+            lambda look: _one_way(look, 0)),
+    Pattern("never turns one way", "{who} never turns {side}, the truth does in {share} of its time",
+            "an unsigned yaw rate, or an angle from an arc cosine", "keep the sign; " + _RECORD, "",
+            lambda look: _one_way(look, 2)),
+    Pattern("turns otherwise",
+            "{who} travels as the truth does, but its turns do not follow the truth's (correlation {corr})",
+            "degrees given to a tangent or sine; the angle of another joint or axis", _RECORD, "", _turns_otherwise),
+    Pattern("sideways", "{who} moves sideways {how} {other}; forwards they agree",
+            "two wheels are exchanged; the sideways part of the kinematics has another sign or factor",
+            "mend the sideways part", "this is undone in the odometry, and not in the model", _aside),
+    Pattern("unit of the truth", "{who} travels {far} times as far as {other}, usually at {speed} m/s",
+            "{unit} for metres", "give metres (columns x_mm, y_cm, z_ft name their unit)", "taken as {unit}",
+            _truth_unit),
+    Pattern("wheel radius", "{who} travels and turns {travels} the truth, by the same factor",
+            "wheel radius, gear ratio or ticks per turn wrong by this factor{hint}", "`wheel_radius` x {v}", _KEPT,
+            lambda look: _ratios(look, True, True, alike=True)),
+    Pattern("wheel separation", "{who} turns {turns} the truth{sides}; travel agrees",
+            "wheel separation (or steering ratio, or gyro scale) wrong by this factor{hint_turn}",
+            "`wheel_separation` x {separation}{track}", _KEPT, lambda look: _ratios(look, False, True)),
+    Pattern("travel", "{who} travels {travels} the truth; {agree}",
+            "gear ratio, ticks per turn or wheel radius, and headings from a gyro{hint}{truth}",
+            "`wheel_radius` x {v}", _KEPT, lambda look: _ratios(look, True, False)),
+    Pattern("travel and turns", "{who} travels {travels} the truth, and turns {turns} it",
+            "wheel radius (gear ratio, ticks per turn){hint}, and wheel separation{hint_turn}",
+            "`wheel_radius` x {v}, `wheel_separation` x {separation}{track}", _KEPT,
+            lambda look: _ratios(look, True, True)),
 )
 # fmt: on
-PATTERNS = (*_CLOCKS, *_MOTIONS)
 """Plain mistakes in the order in which they are tested and undone."""

@@ -179,7 +179,10 @@ def yaw_gyro(gyro: Gyro, odometry: Samples) -> YawGyro:
             bias, how = 0.0, "unknown, because the odometry hardly rests"
     found = YawGyro(gyro.place, gyro.topic, stamps, rate - bias, "", ())
     source = _heading_source(found, odometry, still)
-    notes = [_axis_words(axis), f"its bias is {np.degrees(bias):.3f} deg/s, {how}"]
+    largest = int(np.argmax(np.abs(axis)))
+    tilt = float(np.degrees(np.arccos(min(abs(float(axis[largest])), 1.0))))
+    up = f"{'' if axis[largest] > 0.0 else '-'}{'xyz'[largest]} axis{f', {tilt:.0f} deg off' if tilt > 3.0 else ''}"
+    notes = [f"yaw is about its {up}", f"its bias is {np.degrees(bias):.3f} deg/s, {how}"]
     if abs(lag_s) > REPORTED_LAG_S:
         word = "late" if lag_s > 0.0 else "early"
         notes.append(f"stamped {abs(lag_s):.3f} s {word} against the odometry's turns; taken out")
@@ -309,11 +312,3 @@ def _heading_source(gyro: YawGyro, odometry: Samples, still: NDArray[np.bool_]) 
         if shared > _REST_CORR:
             return "gyro"
     return ""
-
-
-def _axis_words(axis: Array) -> str:
-    """Return which axis of the sensor points up, for a report."""
-    largest = int(np.argmax(np.abs(axis)))
-    sign = "" if axis[largest] > 0.0 else "-"
-    tilt = float(np.degrees(np.arccos(min(abs(float(axis[largest])), 1.0))))
-    return f"yaw is about its {sign}{'xyz'[largest]} axis" + (f", {tilt:.0f} deg off" if tilt > 3.0 else "")

@@ -24,7 +24,7 @@ from odomcorrupt.laser.trajectory import (
     without_spikes,
 )
 from odomcorrupt.study.io.bag import read_bag
-from odomcorrupt.study.io.first_look import check_alone
+from odomcorrupt.study.io.first_look import mistakes_alone
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.raw_trajectory import FEWEST, Samples, in_order
 from odomcorrupt.study.io.topic_selection import has_truth
@@ -114,7 +114,8 @@ def match_run(odometry: Samples, sweeps: Sweeps, progress: Callable[[str, float]
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
     calm = without_outliers(odometry)
-    check_alone(calm)
+    for mistake in mistakes_alone(calm):
+        raise RecordingError(mistake.sentence)
     guide = calm.trajectory()
     origin_ns = int(guide.stamps_ns[0])
     _check_overlap(sweeps, odometry)

@@ -153,7 +153,7 @@ def _correlation(a: Array, b: Array, count: int) -> Array:
 SHORTEST_S = 10.0
 """Minimum overlap of odometry and truth, seconds."""
 _STILL_M, _STILL_RAD = 0.05, 0.1
-_MOVES_M, _FACTOR = 1.0, 300.0
+_MOVES_M, _FACTOR = 0.5, 300.0
 """Extent that is motion, and factor from which less is none, not another unit."""
 _CLEAR = 0.7  # correlation at which a time shift is suggested
 _DAY_S = 86_400.0

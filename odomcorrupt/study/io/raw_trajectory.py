@@ -49,6 +49,7 @@ class Samples:
     localised : whether these are corrections of a localisation, whose errors are correlated along the path
     estimated : whether these are nav_msgs/Odometry messages, which estimators publish
     no_w : whether w is 0 in quaternions that are not of unit length
+    tick_ns : unit of the stamps, if they were read from a text that does not name it
     """
 
     place: str
@@ -67,6 +68,7 @@ class Samples:
     localised: bool = False
     estimated: bool = False
     no_w: bool = False
+    tick_ns: int = 10**9
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

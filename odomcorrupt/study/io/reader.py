@@ -14,7 +14,7 @@ from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.trajectory import resolution_s
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.feedback import feedback_of
-from odomcorrupt.study.io.first_look import Look, Witness, check_alone, first_look
+from odomcorrupt.study.io.first_look import Look, Witness, first_look, mistakes_alone
 from odomcorrupt.study.io.fixes import without_float_episodes
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
 from odomcorrupt.study.io.jumps import without_excursions, without_outliers
@@ -165,7 +165,8 @@ def read_odometry(source: Source) -> tuple[Trajectory, float | None]:
     odometry = _odometry_of(source)
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
-    check_alone(in_order(odometry))
+    for mistake in mistakes_alone(in_order(odometry)):
+        raise RecordingError(mistake.sentence)
     wheels = _with_wheels(source, odometry)
     return wheels.odometry.trajectory(), wheels.track_m
 
@@ -391,17 +392,15 @@ def recordings_of(
                 pose_corrections=feedback.corrections,
                 yaw_dead_band_radps=dead_band_radps,
                 odometry_topic=odometry.name if odometry.name.startswith("/") else "",
-                sketch=_sketch(recorded, r),
+                sketch=sketch_of(
+                    recorded.only(
+                        np.arange(*np.searchsorted(recorded.stamps_ns, r.odometry.stamps_ns[[0, -1]] + [0, 1]))
+                    ).trajectory()
+                ),
             )
         )
         for r in recordings
     ]
-
-
-def _sketch(recorded: Samples, part: Recording) -> str:
-    """Return the `sketch_of` the poses as recorded in the time of a part of them."""
-    first, last = part.odometry.stamps_ns[[0, -1]]
-    return sketch_of(recorded.only((recorded.stamps_ns >= first) & (recorded.stamps_ns <= last)).trajectory())
 
 
 def _witnesses(source: Source) -> list[Witness]:

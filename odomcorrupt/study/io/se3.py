@@ -48,7 +48,10 @@ def check_order(place: str, xyz: Array, quat_xyzw: Array) -> None:
 
 def composed(a: Transforms, b: Transforms) -> Transforms:
     """Return the composition of a and b, with b in the frame of a."""
-    return Transforms(a.xyz + _turned(a.quat_xyzw, b.xyz), _product(a.quat_xyzw, b.quat_xyzw))
+    av, aw, bv, bw = a.quat_xyzw[:, :3], a.quat_xyzw[:, 3:], b.quat_xyzw[:, :3], b.quat_xyzw[:, 3:]
+    scalar = aw * bw - np.sum(av * bv, axis=1, keepdims=True)
+    product = np.concatenate((aw * bv + bw * av + np.cross(av, bv), scalar), axis=1)
+    return Transforms(a.xyz + _turned(a.quat_xyzw, b.xyz), product)
 
 
 def inverted(a: Transforms) -> Transforms:
@@ -71,13 +74,6 @@ def interpolated(t_s: Array, moving: Transforms, at_s: Array) -> Transforms:
     a = (1.0 - fraction) * np.sinc((1.0 - fraction) * angle / np.pi) / whole
     b = fraction * np.sinc(fraction * angle / np.pi) / whole
     return Transforms(xyz, unit(a * start + b * end))
-
-
-def _product(a: Array, b: Array) -> Array:
-    av, aw, bv, bw = a[:, :3], a[:, 3:], b[:, :3], b[:, 3:]
-    vector = aw * bv + bw * av + np.cross(av, bv)
-    scalar = aw * bw - np.sum(av * bv, axis=1, keepdims=True)
-    return np.concatenate((vector, scalar), axis=1)
 
 
 def _turned(quat_xyzw: Array, xyz: Array) -> Array:

@@ -239,6 +239,7 @@ def read_text(path: Path, place: str) -> Samples:
         xyz=np.concatenate([part.xyz for part in parts]),
         yaw_rad=np.concatenate([part.yaw for part in parts]),
         notes=tuple(f"{path.name}: {note}" for note in notes),
+        tick_ns=10**9 if columns.tick_ns else tick,
     )
 
 

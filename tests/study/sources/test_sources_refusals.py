@@ -104,7 +104,8 @@ def test_a_copy_of_the_odometry_throttled_or_in_another_frame_is_no_truth(refuse
     moved = odometry()
     assert "it is the same odometry" in refused(moved, moved.only(np.arange(0, len(moved), 3)))
     turned = moved.having(xyz=moved.xyz @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) + 4.0)
-    assert "it is the same odometry" in refused(moved, turned.having(yaw=moved.yaw + np.pi / 2))
+    for yaw in (moved.yaw + np.pi / 2, np.full(len(moved.yaw), np.nan)):
+        assert "it is the same odometry" in refused(moved, turned.having(yaw=yaw))
 
 
 def test_a_wrong_topic_names_the_near_miss(refused):
