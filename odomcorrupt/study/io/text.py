@@ -5,7 +5,8 @@ CSV: a header names the columns, of which time, x and y are required and a headi
 optional. Names are split into words: `field.pose.pose.position.x`, `pos_x [m]`, `p_RS_R_x [m]` and `x` are all x.
 Units are read from the names (`yaw_deg`, `stamp [ns]`, `x_mm`); the defaults are metres and radians. Times without a
 unit are in s, ms, us or ns, whichever brings the steps between the first lines closest to 50 ms, a usual period.
-Lines have a largest length, because the input is untrusted.
+An export of OptiTrack Motive has a line each for the types, quantities and axes of its columns; Y is up, unless the
+height changes far more than the way across. Lines have a largest length, because the input is untrusted.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import csv
 import io
 import itertools
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -37,10 +38,10 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 _ROS = ("field", "header", "msg", "pose", "position", "pos", "p", "translation")
-_WHOSE = ("odom", "odometry", "truth", "gt", "rs", "r")
-_FILLERS = frozenset((*_ROS, *_WHOSE))
+_FILLERS = frozenset((*_ROS, "odom", "odometry", "truth", "gt", "rs", "r"))
 """Words of a column name that are ignored."""
 _LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "metres": 1.0, "meters": 1.0} | dict.fromkeys(("ft", "feet"), 0.3048)
+_LENGTHS |= {"centimeters": 1e-2, "millimeters": 1e-3}
 _ANGLES = {"rad": 1.0, "deg": np.pi / 180.0, "radians": 1.0, "degrees": np.pi / 180.0}
 _TICKS = {"s": 10**9, "sec": 10**9, "secs": 10**9, "seconds": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 _TIMES = ("stamp", "timestamp", "time", "t")
@@ -65,6 +66,7 @@ class Columns:
     xyz : columns of x, y and z (z may be None); metre is their unit in metres
     yaw : column of the heading or None; radian is its unit in radians
     quat : columns of x, y, z, w, or None
+    y_up : whether y points up, and z to the right, as in Motive
     """
 
     delimiter: str | None
@@ -77,13 +79,13 @@ class Columns:
     yaw: int | None = None
     radian: float = 1.0
     quat: tuple[int, int, int, int] | None = None
+    y_up: bool = False
 
 
 TUM = Columns(None, 8, 0, None, None, (1, 2, 3), quat=(4, 5, 6, 7))
 
 
-@dataclass(frozen=True, slots=True)
-class _Name:
+class _Name(NamedTuple):
     words: tuple[str, ...]
     unit: str
 
@@ -98,11 +100,8 @@ def find_columns(header: Sequence[str], delimiter: str, place: str) -> Columns:
     """
     names = [_read(cell) for cell in header]
 
-    def places(wanted: str) -> list[int]:
-        return [i for i, name in enumerate(names) if name.words == (wanted,)]
-
     def one(wanted: str) -> int | None:
-        found = places(wanted)
+        found = [i for i, name in enumerate(names) if name.words == (wanted,)]
         if len(found) > 1:
             both = " and ".join(repr(header[i].strip()) for i in found[:2])
             raise RecordingError(f"{place}: columns {both} could both be {wanted}; rename or drop one")
@@ -118,27 +117,20 @@ def find_columns(header: Sequence[str], delimiter: str, place: str) -> Columns:
         raise RecordingError(
             f"{place}: no column for {' and '.join(missing)} ({there}); the first line must name time, x, y and yaw"
         )
-    unit = names[time].unit
-    tick = _TICKS.get(unit)
-    if names[time].words == ("nanoseconds",):
-        tick = 1
-    elif nanoseconds is not None:
-        tick = 10**9
-    quats = [one(f"q{axis}") for axis in "xyzw"]
-    whole = [i for i in quats if i is not None]
+    unit = "ns" if names[time].words == ("nanoseconds",) else names[time].unit if nanoseconds is None else "s"
+    quat = [i for axis in "xyzw" if (i := one(f"q{axis}")) is not None]
     yaw = next((i for wanted in _YAWS if (i := one(wanted)) is not None), None)
-    angle = names[yaw].unit if yaw is not None else ""
     return Columns(
         delimiter=delimiter,
         count=len(header),
         time=time,
         nanoseconds=nanoseconds,
-        tick_ns=tick,
+        tick_ns=_TICKS.get(unit),
         xyz=(x, y, z),
         metre=_LENGTHS.get(names[x].unit, 1.0),
         yaw=yaw,
-        radian=_ANGLES.get(angle, 1.0),
-        quat=(whole[0], whole[1], whole[2], whole[3]) if yaw is None and len(whole) == 4 else None,
+        radian=1.0 if yaw is None else _ANGLES.get(names[yaw].unit, 1.0),
+        quat=(quat[0], quat[1], quat[2], quat[3]) if yaw is None and len(quat) == 4 else None,
     )
 
 
@@ -153,10 +145,8 @@ def guess_tick(times: Sequence[float]) -> int:
         return 10**9
 
     def strangeness(tick: int) -> float:
-        since = stamps[0] * tick
-        return abs(float(np.log10(np.median(steps) * tick / _STEP_NS))) + (
-            0.0 if _DATES[0] < since < _DATES[1] else 1.5
-        )
+        undated = 0.0 if _DATES[0] < stamps[0] * tick < _DATES[1] else 1.5
+        return abs(float(np.log10(np.median(steps) * tick / _STEP_NS))) + undated
 
     return min((10**9, 10**6, 10**3, 1), key=strangeness)
 
@@ -181,7 +171,6 @@ def _read(cell: str) -> _Name:
 
 
 _MAX_LINES = 50_000_000  # lines
-_AHEAD = 1000  # lines read to infer the unit of the stamps
 _BATCH = 16_384
 _DELIMITERS = ",;\t"
 _BAGS = (b"#ROSBAG V", b"\x89MCAP", b"SQLite format 3")
@@ -217,8 +206,11 @@ def read_text(path: Path, place: str) -> Samples:
         columns, first = _begin(lines, place)
         more = (split_line(row, columns.delimiter) for row in lines if not row.cells[0].startswith("#"))
         rows = whole_rows(itertools.chain(first, more), columns.count, notes)
-        ahead = list(itertools.islice(rows, _AHEAD))
+        ahead = list(itertools.islice(rows, _BATCH))
         tick = columns.tick_ns or guess_tick([row.number(columns.time) for row in ahead])
+        if columns.y_up and ahead:
+            across, height = np.nan_to_num(_part(ahead, columns, tick, ComponentOrder()).xyz)[:, 1:].std(axis=0)
+            columns = replace(columns, y_up=bool(height <= 10.0 * across))
         rows = itertools.chain(ahead, rows)
         parts, order = [], ComponentOrder()
         while batch := list(itertools.islice(rows, _BATCH)):
@@ -251,20 +243,31 @@ def _begin(lines: Iterator[Row], place: str) -> tuple[Columns, list[Row]]:
             continue
         delimiter = next((mark for mark in _DELIMITERS if mark in line), None)
         cut = split_line(row, delimiter)
-        count = len(cut.cells)
         if delimiter is None and are_numbers(cut):
-            if count == TUM.count:
+            if len(cut.cells) == TUM.count:
                 return TUM, [cut]
-            kind = "; KITTI poses have no stamps" if count == 12 else ""
-            raise RecordingError(
-                f"{place}: {count} numbers in line {row.line}{kind}; a TUM file has 8 (stamp x y z qx qy qz qw)"
-            )
+            kind = "; KITTI poses have no stamps" if len(cut.cells) == 12 else ""
+            found = f"{len(cut.cells)} numbers in line {row.line}{kind}"
+            raise RecordingError(f"{place}: {found}; a TUM file has 8 (stamp x y z qx qy qz qw)")
         if delimiter is None:
             break
         if are_numbers(cut):
             raise RecordingError(f"{place}: its first line has no names; head it with time,x,y,yaw or the like")
+        if cut.cells[0] == "Format Version":
+            return replace(find_columns(_motive_header(cut, lines), delimiter, place), y_up=True), []
         return find_columns(cut.cells, delimiter, place), []
     raise RecordingError(f"{place}: is neither a bag nor a TUM or CSV file; TUM has 8 numbers a line, CSV a header")
+
+
+def _motive_header(take: Row, lines: Iterator[Row]) -> list[str]:
+    """Return the names of the columns in an export of Motive, and read its header, which types begin and axes end."""
+    unit = dict(zip(take.cells[::2], take.cells[1::2], strict=False)).get("Length Units", "")
+    heads = [[""], [""]]
+    while heads[-1][0] != "Frame" and (row := next(lines, None)):
+        heads.append(split_line(row, ",").cells)
+    columns = zip([*heads, []][2], *heads[-2:], strict=False)
+    names = (f"{quantity} {axis} {unit}" if kind == "Rigid Body" else "unused" for kind, quantity, axis in columns)
+    return [*heads[-1][:2], *itertools.islice(names, 2, None)]
 
 
 def _part(rows: list[Row], columns: Columns, tick_ns: int, order: ComponentOrder) -> _Part:
@@ -273,17 +276,19 @@ def _part(rows: list[Row], columns: Columns, tick_ns: int, order: ComponentOrder
         stamps += np.array([row.nanoseconds(columns.nanoseconds, 1) for row in rows])
 
     def numbers(places: Iterable[int | None]) -> Array:
-        return np.array([[0.0 if at is None else row.number(at) for at in places] for row in rows])
+        values = np.array([[0.0 if at is None else row.number(at) for at in places] for row in rows])
+        if columns.y_up:  # x, -z and y
+            values[:, 1:3] = values[:, [2, 1]] * [-1.0, 1.0]
+        return values
 
     xyz = numbers(columns.xyz) * columns.metre
+    yaw = np.full(len(rows), np.nan)
     if columns.yaw is not None:
         yaw = numbers([columns.yaw])[:, 0] * columns.radian
     elif columns.quat is not None:
         quat_xyzw = numbers(columns.quat)
         order.take(xyz, quat_xyzw)
         yaw = headings(quat_xyzw)
-    else:
-        yaw = np.full(len(rows), np.nan)
     return _Part(stamps, xyz, yaw)
 
 
@@ -319,12 +324,10 @@ class Row(NamedTuple):
 
 def read_lines(stream: TextIO, place: str) -> Iterator[Row]:
     """Yield the non-blank lines, each as a row of one cell."""
-    count = 0
-    while line := stream.readline(_MAX_LINE):
-        count += 1
+    for count, line in enumerate(iter(lambda: stream.readline(_MAX_LINE), ""), start=1):
         if len(line) == _MAX_LINE:
             raise RecordingError(
-                f"{place}: line {count} has more than {_MAX_LINE} characters; this is not a TUM or CSV file"
+                f"{place}: line {count} has more than {_MAX_LINE} characters; it is no TUM or CSV file"
             )
         if line.strip():
             yield Row(place, count, [line.strip()])

@@ -79,6 +79,31 @@ def test_headers_are_read_by_their_words(tmp_path, header, line):
     np.testing.assert_allclose(np.unwrap(samples.yaw_rad), real.yaw, atol=1e-9)
 
 
+@pytest.mark.parametrize("up", ["Y", "Z"])
+@pytest.mark.parametrize("unit", ["Meters", "Millimeters"])
+def test_an_export_of_motive_is_read_with_its_axis_up(tmp_path, up, unit):
+    real = truth()
+    (x, y, _), (_, _, qz, qw) = real.xyz.T * (1e3 if unit == "Millimeters" else 1.0), real.quat.T
+    flat, still = np.zeros(len(x)), np.full(len(x), 0.2) + 0.001 * np.sin(np.arange(len(x)))
+    body = (flat, qz, flat, qw, x, still, -y) if up == "Y" else (flat, flat, qz, qw, x, y, still)
+    values = np.column_stack((np.arange(len(x)), (real.stamps_ns - START_NS) / 1e9, *body, still, x, y, still))
+    heads = [
+        f"Format Version,1.23,Take Name,Take 1,Rotation Type,Quaternion,Length Units,{unit},Coordinate Space,Global"
+    ]
+    for label, own, marker in (("Type", "Rigid Body", "Rigid Body Marker"), ("Name", "robot", "robot:Marker1")):
+        heads.append(",".join(["", label, *[own] * 8, *[marker] * 3]))
+    heads += [
+        ",ID" + ",1" * 11,
+        ",," + ",".join(["Rotation"] * 4 + ["Position"] * 3 + ["Mean Marker Error"] + ["Position"] * 3),
+    ]
+    heads += ["Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,,X,Y,Z", *(",".join(map(repr, row)) for row in values.tolist())]
+    (tmp_path / "take.csv").write_text("\n".join([heads[0], "", *heads[1:]]))
+    samples = read_text(tmp_path / "take.csv", "take.csv")
+    assert np.abs(samples.stamps_ns - (real.stamps_ns - START_NS)).max() < 1000
+    np.testing.assert_allclose(samples.xyz[:, :2], real.xyz[:, :2], atol=1e-9)
+    np.testing.assert_allclose(np.unwrap(samples.yaw_rad), real.yaw, atol=1e-9)
+
+
 @pytest.mark.parametrize(("unit", "word"), [("ns", "nanoseconds"), ("us", "microseconds"), ("ms", "milliseconds")])
 def test_stamps_that_count_from_the_start_are_read_by_their_steps_and_it_is_said(tmp_path, unit, word):
     real = truth()
@@ -116,6 +141,7 @@ def test_a_last_line_that_was_cut_is_left_out_and_a_short_one_elsewhere_is_not(t
         ("t,x,yaw\n", r"no column for y \("),
         ("tiem,x,y\n", r"no column for time \(did you mean tiem\?"),
         ("t,x,y,x\n", "'x' and 'x' could both be x"),
+        ("Format Version,1.2\n,,Rigid Body\n", r"no column for time and x and y \("),
         ("t,x,y\n", "holds no line of numbers"),
         ("t,x,y\n0,1,one\n", "'one' in line 2 is not a number"),
         ("t,x,y\n1e30,1,1\n", "'1e30' in line 2 is not a stamp"),
