@@ -81,7 +81,7 @@ def find_odometry(channels: Iterable[Channel], asked: str | None, bag: str, usua
     """Return the topic of the odometry source.
 
     channels : all channels of the bag
-    asked : requested topic; None for the only odometry topic
+    asked : requested topic; None for the only odometry topic that is not named like a truth
     bag : name of the bag, for error messages
     usual : topic that is taken where there are several and it is among them: the one that a model was learned from
 
@@ -109,12 +109,11 @@ def find_odometry(channels: Iterable[Channel], asked: str | None, bag: str, usua
         other = sorted({f"{c.topic} is nav_msgs/Odometry in {c.encoding}" for c in channels if c.msgtype == ODOMETRY})
         unread = f"; {', '.join(other)}, which is not read: CDR and the serialisation of ROS 1 are" if other else ""
         raise TopicError(f"{bag}: no nav_msgs/Odometry topic (found {found}){unread}; {way_out}")
+    topics = [topic for topic in topics if not says_truth(topic)] or topics
     same = [topic for topic in topics if usual is not None and plain(topic) == plain(usual)]
     if len(topics) > 1 and not same:
-        raise TopicError(
-            f"{bag}: {len(topics)} nav_msgs/Odometry topics ({', '.join(topics)}); name the one that drives the "
-            "model with --odom-topic"
-        )
+        found = f"{len(topics)} nav_msgs/Odometry topics ({', '.join(topics)})"
+        raise TopicError(f"{bag}: {found}; name the one that drives the model with --odom-topic")
     return same[0] if same else topics[0]
 
 

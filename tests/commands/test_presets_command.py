@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
-from mcap.writer import Writer
 
 from odomcorrupt.api.model import Model
 from odomcorrupt.cli import run
@@ -58,6 +56,7 @@ def test_a_preset_that_is_none_is_wrong_usage_of_this_command(capsys):
         (["nosuch"], "nosuch: no such file, and no such command; name a command, or INPUT and OUTPUT"),
         ([OFFICE], "Missing argument 'OUTPUT'"),
         (["presest"], "did you mean presets?"),
+        (["diagnos", "x.bag"], "did you mean diagnose?"),
     ],
 )
 def test_one_word_alone_is_reported_what_it_is_not(words, sentence, capsys):
@@ -100,19 +99,8 @@ def test_topics_and_types_give_a_robot_away(names, found):
 
 
 def test_info_and_a_run_without_noise_options_suggest_the_robot(tmp_path, capsys):
-    bag = tmp_path / "husky.mcap"
-    with bag.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        with Path(OFFICE).open("rb") as given:
-            reader, ids = make_reader(given), {}
-            for schema, channel, message in reader.iter_messages():
-                if channel.id not in ids:
-                    schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-                    topic = channel.topic.replace("/odom", "/husky_velocity_controller/odom")
-                    ids[channel.id] = writer.register_channel(topic, channel.message_encoding, schema_id)
-                writer.add_message(ids[channel.id], message.log_time, message.data, message.publish_time)
-        writer.finish()
+    bag, still = tmp_path / "husky.mcap", ["--alpha", "0", "0", "0", "0"]
+    assert run([OFFICE, str(bag), "-q", *still, "--rename", "/odom=/husky_velocity_controller/odom"]) == 0
     assert run(["info", str(bag)]) == 0
     assert "robot     looks like a husky: --preset husky" in capsys.readouterr().out
     for words, said in (([], True), (["--preset", "husky"], False)):
