@@ -241,7 +241,12 @@ class Look:
         starts = np.arange(first + margin_s, last - margin_s, window_s / 4.0)
         here, best = one.within(starts, window_s), (-np.inf, 0.0)
         for lag_s in np.arange(-margin_s, margin_s, _GRID_S).tolist():
-            c = _correlations(here, other.within(starts + lag_s, window_s))
+            there = other.within(starts + lag_s, window_s)
+            pair = [here, there]
+            if not self.paths[1].headed:
+                sizes = (np.abs(np.column_stack((x[:, 0] + 1j * x[:, 1], 0.0 * x[:, 0], x[:, 2]))) for x in pair)
+                pair = [x - x.mean(axis=0) for x in sizes]
+            c = _correlations(*pair)
             best = max(best, (float(np.sum(c[[0, 0, 2, 2], [0, 2, 0, 2]] ** 2)) - 1e-3 * abs(lag_s), lag_s))
         return here, other.within(starts + best[1], window_s), (starts, starts + best[1])
 
@@ -250,36 +255,6 @@ class Look:
         """The same, but beside positions alone speeds with the odometry's sign, and turns between long chords only."""
         here, there, times = self.motions
         return (here, there, times) if self.paths[1].headed else (*_by_speeds(here, there), times)
-
-    @cached_property
-    def hand(self) -> float:
-        """Correlation of the positions across the main axes of 64 windows each: 1 as they are, -1 if mirrored.
-
-        Paths with turns of other sizes have other shapes; of them it is 0.
-        """
-        if not 1.0 / _WRONG < abs(self.ratio(2).value) < _WRONG:
-            return 0.0
-        origin = int(self.paths[0].stamps_ns[0])
-        both = zip(self.paths, self.windows[2], strict=True)
-        own, real = (np.interp(at, p.seconds_since(origin), p.xyz[:, 0] + 1j * p.xyz[:, 1]) for p, at in both)
-        total = np.zeros(4)
-        for first in range(0, len(own) - 32, 32):
-            a, b = (x[first : first + 64] - x[first : first + 64].mean() for x in (own, real))
-            size = [float(np.vdot(x, x).real) for x in (a, b)]
-            across = [n - abs(x @ x) for n, x in zip(size, (a, b), strict=True)]
-            total += [abs(np.vdot(a, b)), abs(a @ b), *np.sqrt(np.maximum([np.prod(across), np.prod(size)], 0.0))]
-        same, mirrored, wide, most = total.tolist()
-        return (same - mirrored) / wide if max(same, mirrored) > 0.8 * most and wide > 0.001 * most else 0.0
-
-    @cached_property
-    def turns_agree(self) -> tuple[float, ...]:
-        """For each of `READINGS`, 1 if the truth's headings so multiplied turn as the odometry does, 0 if not."""
-        here, _, (_, at) = self.windows
-        truth, used = self.paths[1], moving(here[:, 2])
-        t_s = truth.seconds_since(int(self.paths[0].stamps_ns[0]))
-        first, last = (np.minimum(np.searchsorted(t_s, t), len(t_s) - 1)[used] for t in (at, at + self.window_s))
-        turned = [yaw[last] - yaw[first] for yaw in (truth.yaw_rad, np.unwrap(truth.yaw_rad))]
-        return tuple(max(float(np.mean(np.cos(k * x - here[used, 2]))) for x in turned) for k in READINGS)
 
     @cached_property
     def correlations(self) -> Array:
@@ -299,11 +274,16 @@ class Look:
         return travel, turn
 
     @property
-    def turns(self) -> float:
-        """Usual turn of the odometry or the truth, the larger one, in windows in which one of them moves, rad."""
+    def turns(self) -> list[float]:
+        """Usual turns of odometry and truth in windows in which one of them moves, rad."""
         here, there, _ = self.windows
         used = moving(here[:, 0]) | moving(there[:, 0])
-        return max(float(np.sqrt(np.mean(x[used, 2] ** 2))) if used.any() else 0.0 for x in (here, there))
+        return [float(np.sqrt(np.mean(x[used, 2] ** 2))) if used.any() else 0.0 for x in (here, there)]
+
+    @property
+    def sideways(self) -> bool:
+        """Whether the odometry drives sideways, too."""
+        return bool(np.std(self.motions[0][:, 1]) > 0.1 * np.std(self.motions[0][:, 0]))
 
     @property
     def words(self) -> str:
@@ -479,11 +459,6 @@ def _by(matrix: Array | Sequence[float]) -> Callable[[Samples], Samples]:
     return lambda path: _moved_by(path, increments(path.trajectory().xyt).rows @ whole.T)
 
 
-def _speed(look: Look, i: int) -> Figures | None:
-    own, real = look.own[i].speed_mps, look.own[1].speed_mps
-    return {"i": i, "speed": own, "undo": lambda p: replace(p, xyz=p.xyz / 1e3)} if min(own, real) > _FAST_MPS else None
-
-
 def _mirrored_headings(look: Look, i: int) -> Figures | None:
     """Find headings that turn the other way than the path; what contradicts the other trajectory is mirrored."""
     own, turn = look.own[i], float(look.correlations[2, 2])
@@ -491,10 +466,9 @@ def _mirrored_headings(look: Look, i: int) -> Figures | None:
     doubts = [(1.0 - own.agreement[0]) / (1.001 - own.agreement[1]) if own.chords else 0.0 for own in look.own]
     doubt, other = doubts[i], doubts[1 - i]
     alone = own.agreement[1] > _FOLLOWS and (own.agreement[0] < _CLEAR or doubt > 4.0 > 4.0 * other)
-    contradicted = look.hand * turn < -_UNCLEAR and doubt > max(other, 0.25)
-    if own.chords < _FEWEST or not (alone or contradicted) or _turn_between(look.paths[i]) > _LOST:
+    if own.chords < _FEWEST or not alone or _turn_between(look.paths[i]) > _LOST:
         return None
-    axis = 1.0 if turn < 0.0 or look.hand > _UNCLEAR else -1.0
+    axis = 1.0 if turn < 0.0 else -1.0
     undo = lambda path: replace(path, xyz=path.xyz * [1.0, axis, 1.0], yaw_rad=-axis * path.yaw_rad)  # noqa: E731
     return {"i": i, "undo": undo}
 
@@ -502,12 +476,8 @@ def _mirrored_headings(look: Look, i: int) -> Figures | None:
 def _unit_of_headings(look: Look, i: int) -> Figures | None:
     """Find headings in another unit by the path, or by the odometry's turns if the path has other directions."""
     own = look.own[i]
-    by_path = own.chords >= _FEWEST and max(own.agreement) > _FOLLOWS
-    if not look.paths[i].headed or (own.chords >= _FEWEST and own.agreement[0] > _CLEAR) or not (by_path or i):
-        return None
-    agreement = own.agreement if by_path else look.turns_agree
-    k = int(np.argmax(agreement))
-    if k < 2 or agreement[0] > _CLEAR or agreement[k] < _FOLLOWS:
+    k = int(np.argmax(own.agreement))
+    if k < 2 or own.chords < _FEWEST or own.agreement[0] > _CLEAR or own.agreement[k] < _FOLLOWS:
         return None
     words = ("degrees, not radians", "degrees of a compass (clockwise)", "read as degrees, but are radians")
 
@@ -624,11 +594,9 @@ _WHEELS = {
 """Two wheels, or four that drive sideways, and how far they roll by a motion, turns in units of their arm."""
 
 
-def _wheel_gains(look: Look) -> Figures | None:
-    """Find wheels that count by unequal factors g: motions are J' diag(g) J / n times the truth's, J of `_WHEELS`."""
+def _matrix(look: Look, axes: list[int]) -> tuple[Array, float]:
+    """Return the matrix that makes motions along some axes of the truth's, and what it explains of them."""
     here, there, _ = look.motions
-    axes = [0, 1, 2] if np.std(here[:, 1]) > 0.1 * np.std(here[:, 0]) else [0, 2]
-    names, rolls = _WHEELS[2 * len(axes) - 2]
     trials = [there]
     if not look.paths[1].headed:  # speeds then have the sign of one of the odometry's motions
         speed = np.hypot(there[:, 0], there[:, 1])
@@ -636,15 +604,33 @@ def _wheel_gains(look: Look) -> Figures | None:
         here, there, speed = here[used], there[used], speed[used]
         trials = [np.column_stack((np.sign(here[:, k]) * speed, 0.0 * speed, there[:, 2])) for k in (0, 2)]
     if len(here) < _FEWEST:
-        return None
+        return np.eye(len(axes)), 0.0
     matrix, explained = max((_linear(x[:, axes], here[:, axes]) for x in trials), key=lambda found: found[1])
-    own, real = (float(_correlations(x, x)[0, 2]) for x in (here, there))
-    if len(rolls) == 2 and abs(own) > 0.999 and abs(real) < 0.95:
-        # odometry that pivots about one wheel, whatever the truth's turns: that wheel counts nothing
-        curvature = float(np.copysign(np.linalg.norm(here[:, 2]) / np.linalg.norm(here[:, 0]), own))
-        matrix = matrix[0, 0] * np.array(((1.0, 1.0 / curvature), (curvature, 1.0)))
     if matrix[0, -1] * matrix[-1, 0] < 0.0 and not look.paths[1].headed:
         matrix[:, 0] *= -1.0
+    own, real = (float(_correlations(x, x)[0, 2]) for x in (here, there))
+    if len(axes) > 2:
+        return matrix, explained
+    if abs(own) > 0.999 and abs(real) < 0.95:
+        # odometry that pivots about one wheel, whatever the truth's turns: that wheel counts nothing
+        curvature, explained = float(np.copysign(np.linalg.norm(here[:, 2]) / np.linalg.norm(here[:, 0]), own)), own**2
+        matrix = matrix[0, 0] * np.array(((1.0, 1.0 / curvature), (curvature, 1.0)))
+    elif abs(matrix[0, 0]) < 0.1 and np.corrcoef(np.abs(here[:, 2]), np.hypot(*there.T[:2]))[0, 1] > _FOLLOWS:
+        # turns that follow the truth's travel, beside which its turns are not seen: one wheel reversed
+        matrix, explained = np.array(((0.0, 1.0 / matrix[-1, 0]), (matrix[-1, 0], 0.0))), _FOLLOWS
+    elif abs(matrix[1, 0]) > 1e-6 and look.paths[1].headed:
+        # a tracked point to the left of the centre has a part of the turns in its travel
+        left_m = (matrix[1, 1] - matrix[0, 0]) / matrix[1, 0]
+        if abs(left_m) < 1.0:
+            matrix -= [[0.0, matrix[0, 0] * left_m], [0.0, matrix[1, 0] * left_m]]
+    return matrix, explained
+
+
+def _wheel_gains(look: Look) -> Figures | None:
+    """Find wheels that count by unequal factors g: motions are J' diag(g) J / n times the truth's, J of `_WHEELS`."""
+    axes = [0, 1, 2] if look.sideways else [0, 2]
+    names, rolls = _WHEELS[2 * len(axes) - 2]
+    matrix, explained = _matrix(look, axes)
     by_turn, by_travel = np.abs(matrix[:-1, -1]).sum(), np.abs(matrix[-1, :-1]).sum()
     if explained < _FOLLOWS or not 1e-6 < by_turn < by_travel:
         return None
@@ -684,7 +670,7 @@ def _wheel_gains(look: Look) -> Figures | None:
 def _reversed(look: Look, turn: float) -> Figures | None:
     """Find odometry that drives backwards and turns as the truth does (1) or the other way (-1)."""
     c = look.correlations
-    if not look.paths[1].headed or c[0, 0] > -_CLEAR or min(c[2, 2] * turn, look.hand * turn + 1.0) < _CLEAR:
+    if not look.paths[1].headed or c[0, 0] > -_CLEAR or c[2, 2] * turn < _CLEAR:
         return None
     return {"corr": float(c[0, 0]), "undo": _by((-1.0, -1.0, turn))}
 
@@ -705,20 +691,20 @@ def _aside(look: Look) -> Figures | None:
     """Find travel sideways of another sign or size while travel forwards and turns agree."""
     c, side = look.correlations, look.ratio(1)
     drives = all(np.std(x[:, 1]) > _MOVING * np.std(x[:, 0]) for x in look.windows[:2])
-    clear = min(abs(c[1, 1]), c[0, 0], c[2, 2] + 1.0) > _CLEAR and side.number >= _FEWEST and side.spread < 0.5
+    clear = min(abs(c[1, 1]), c[0, 0], c[2, 2]) > _CLEAR and side.number >= _FEWEST and side.spread < 0.5
     size = abs(side.value) / look.scales[0].value
     wrong = not 1.0 / _SKIDS < size < _WRONG
-    if not drives or not clear or not look.paths[1].headed or (c[1, 1] > 0.0 and not wrong):
+    if not drives or not clear or not look.paths[1].headed or not (wrong or c[1, 1] < 0.0):
         return None
     how = " and ".join(["the other way than"] * int(c[1, 1] < 0.0) + [_far(size)] * wrong)
     return {"how": how, "undo": _by((1.0, np.copysign(size, c[1, 1]), 1.0))}
 
 
 def _exchanged(look: Look) -> Figures | None:
-    c, hand = look.correlations, look.hand
-    turn = float(c[2, 2])
-    corr = min(turn, hand * _CLEAR / _UNCLEAR)
-    if corr > -_CLEAR or c[0, 0] < _CLEAR or max(hand, turn) > _UNCLEAR:
+    c = look.correlations
+    # a robot that hardly turns shows it by its travel sideways
+    corr = float(c[2, 2] if abs(c[2, 2]) > _UNCLEAR else c[1, 1])
+    if corr > -_CLEAR or c[0, 0] < _CLEAR:
         return None
     fault, source = look.at_fault()
     if c[1, 1] > _CLEAR:
@@ -727,13 +713,13 @@ def _exchanged(look: Look) -> Figures | None:
     if fault is not None:
         words = f"{source} turns as {look.paths[1 - fault].name} does, so {look.paths[fault].name} is wrong"
     undo = lambda path: replace(path, xyz=path.xyz * [1.0, -1.0, 1.0], yaw_rad=-path.yaw_rad)  # noqa: E731
-    return {"i": fault or 0, "corr": max(corr, -1.0), "fault": words, "undo": undo}
+    return {"i": fault or 0, "corr": corr, "fault": words, "undo": undo}
 
 
 def _overflows(look: Look, i: int) -> Figures | None:
     """Find increments of a wheel, or of the travel, that jump by one length: the range of its counter."""
     rows = increments(look.paths[0].trajectory().xyt).rows
-    steps = np.abs(np.diff(rows[:, [0, 2]], axis=0))
+    n, steps = np.arange(len(rows)), np.abs(np.diff(rows[:, [0, 2]], axis=0))
     both = steps[(steps > np.sort(steps, axis=0)[-3:][:1] / 4.0).all(axis=1)]
     # where one wheel's increments jump, travel changes by half of it and the heading by it over the track
     arms_m = [float(np.median(both[:, 0] / both[:, 1]))] if len(both) > 2 else []
@@ -751,15 +737,15 @@ def _overflows(look: Look, i: int) -> Figures | None:
         # headings that turn by more than half a turn reverse increments, whose size stays
         few |= np.median(np.abs(np.diff(np.abs(wheels), axis=1))[same]) < 0.1 * wheel_m
         if count > 2 + 0.01 * len(rows) and not few:
+            far = (np.abs(real - wheels) > wheel_m / 2.0).any(axis=0)
             rows[:, 0] = real.mean(axis=0)
-            rows[:, 2] = (real[1] - real[0]) / (2.0 * arm_m) if arm_m else rows[:, 2]
+            rows[:, 2] = (real[1] - real[0]) / (2.0 * arm_m) if arm_m else np.interp(n, n[~far], rows[~far, 2])
             return _counter(count, wheel_m, real, rows)
     # jumps that turn a robot by more than half a turn have another sign; rare ones are bridged
     size = np.hypot(rows[:, 0], rows[:, 1])
     far = size > 10.0 * np.percentile(size[size > 0.0], 80.0) if size.any() else size > 0.0
     if i or not 1 < far.sum() < 0.2 * len(far):
         return None
-    n = np.arange(len(rows))
     usual = np.stack([np.interp(n, n[~far], x[~far]) for x in rows.T], axis=1)
     wheel_m = 2.0 * float(np.median(size[far] + np.abs(usual[far, 0])))  # the wheel goes on meanwhile
     if np.mean(np.abs(2.0 * size[far] - wheel_m) < 0.1 * wheel_m) < 0.5:
@@ -784,13 +770,20 @@ def _one_way(look: Look, axis: int) -> Figures | None:
     # beside a centre of turning, a tracked point goes back in turns on the spot
     straight = np.abs(there[:, 0]) > 0.5 * np.abs(there[:, 2]) if axis == 0 else np.ones(len(here), dtype=bool)
     if axis == 0 and not look.paths[1].headed and np.percentile(here[:, 0], 1.0) >= 0.0:
-        # beside positions, reverse is where turns are opposite though travel agrees
-        turning = moving(there[:, 2]) & moving(here[:, 2])
-        ratio = here[turning, 2] / there[turning, 2]
-        back, alike = ratio < 0.0, np.abs(np.log(np.abs(ratio))) < np.log(_SKIDS)
-        enough = back.sum() >= _FEWEST and 0.1 < back.mean() < 0.9
-        if enough and alike.mean() > 2.0 * _UNCLEAR:
-            return {"share": f"{back.mean():.0%}", "how": "turns the other way there"}
+        # positions alone show reverse as a course that flips between chords, where the odometry's goes on
+        courses = [_course(path, at, look) for path, at in zip(look.paths, look.windows[2], strict=True)]
+        seen = np.isfinite(courses).all(axis=0)
+        own, real = (np.abs(course[seen]) for course in courses)
+        back = (real > 2.6) & (own < 0.5)
+        events = int(np.sum(np.diff(np.flatnonzero(back)) > 4)) + 1
+        if events > 3 and np.sum((own > 2.6) & (real > 2.6)) < 0.2 * back.sum():
+            return {"share": f"{events} places", "how": "goes on there"}
+    if axis == 0 and look.paths[1].headed and look.scales[1].sure:
+        usual = np.percentile(np.abs(there), 95.0, axis=0)
+        spot = (np.abs(there[:, 0]) < 0.2 * usual[0]) & (np.abs(there[:, 2]) > 0.5 * usual[2])
+        ahead = spot & (np.abs(here[:, 2]) < 0.3 * np.abs(there[:, 2])) & moving(here[:, 0])
+        if ahead.sum() >= _FEWEST / 2.0 and ahead.sum() > 0.5 * spot.sum():
+            return {"share": f"{spot.mean():.0%}", "how": "drives straight ahead where that turns on the spot"}
     for side in (-1, 1) if look.paths[1].headed else ():
         real, counted = moving(there[:, axis], side) & straight, moving(here[:, axis], side)
         if not real.any() or real.sum() < max(0.01 * len(real), 10.0 * counted.sum()):
@@ -803,6 +796,15 @@ def _one_way(look: Look, axis: int) -> Figures | None:
             how = "drives forwards there" if ahead else "stands there"
             return {"share": f"{real.mean():.0%}", "how": how, "side": "right" if side < 0 else "left"}
     return None
+
+
+def _course(path: Samples, at_s: Array, look: Look) -> Array:
+    """Return by how much a path's course changes between the window before times (n,) and the one after, rad."""
+    t_s = path.seconds_since(int(look.paths[0].stamps_ns[0]))
+    z = [np.interp(at_s + k * look.window_s, t_s, path.xyz[:, 0] + 1j * path.xyz[:, 1]) for k in (-1, 0, 1)]
+    before, after = z[1] - z[0], z[2] - z[1]
+    far = np.minimum(np.abs(before), np.abs(after))
+    return np.where(moving(far), np.angle(after * np.conj(before)), np.nan)
 
 
 def _stands(look: Look) -> Figures | None:
@@ -839,11 +841,9 @@ def _turns_too_far(look: Look) -> Figures | None:
 
 def _turns_otherwise(look: Look) -> Figures | None:
     """Find odometry whose travel is the truth's and whose turns are not."""
-    c, (here, there, _) = look.correlations, look.windows
-    used = moving(there[:, 0])
-    turns = [float(np.sqrt(np.mean(x[used, 2] ** 2))) for x in (here, there)] if used.any() else [0.0]
-    few = min(turns) < _FEW_TURNS or used.sum() < 5 * _FEWEST
-    if few or abs(c[2, 2]) > _UNCLEAR or np.corrcoef(here[:, 0], there[:, 0])[0, 1] < _FOLLOWS:
+    c = look.correlations
+    few = min(look.turns) < _FEW_TURNS or moving(look.windows[1][:, 0]).sum() < 5 * _FEWEST
+    if few or abs(c[2, 2]) > _UNCLEAR or look.scales[0].spread > 2.0 * _ALIKE:
         return None
     return {"corr": float(c[2, 2])}
 
@@ -863,7 +863,7 @@ def _ratios(look: Look, travel: bool, turn: bool, *, alike: bool = False) -> Fig
     same = v.sure and w.sure and abs(v.value / w.value - 1.0) < (_ALIKE if look.paths[1].headed else 4.0 * _ALIKE)
     wrong = v.beyond(_WRONG) or (same and w.beyond(_WRONG))
     turns = w.beyond(_WRONG, _WRONG if wrong else _SKIDS) or (same and wrong)
-    few = not w.sure and (look.turns > _FEW_TURNS or v.spread > 2.0 * _ALIKE)
+    few = not w.sure and (max(look.turns) > _FEW_TURNS or v.spread > 2.0 * _ALIKE or look.sideways)
     if (wrong, turns) != (travel, turn) or same is not alike or few:
         return None
     gains = v.value if travel else 1.0, v.value if alike else w.value if turn else 1.0
@@ -909,7 +909,10 @@ PATTERNS = (
             "a counter overflows: {width}", "subtract counts as signed integers of the counter's width",
             "the jumps are taken out", _overflows, alone=True),
     Pattern("speed", "{who}: usually moves at {speed} m/s", "millimetres for metres",
-            "give metres (columns x_mm, y_mm)", "its lengths are divided by 1000", _speed, alone=True),
+            "give metres (columns x_mm, y_mm)", "its lengths are divided by 1000",
+            lambda look, i: {"i": i, "speed": look.own[i].speed_mps,
+                             "undo": lambda p: replace(p, xyz=p.xyz / UNITS["millimetres"])}
+            if min(look.own[i].speed_mps, look.own[1].speed_mps) > _FAST_MPS else None, alone=True),
     Pattern("quaternion without w",
             "{who}: its orientations are no unit quaternions (w is 0 in all): its headings never change",
             "w was never set beside z = sin(yaw / 2)",

@@ -167,8 +167,7 @@ def test_turns_from_which_nothing_can_be_learned(wrong, said, headed):
 def test_a_tracked_point_beside_the_centre_does_not_drive_in_reverse():
     rows = driven(8, reverse=False)
     seen = trajectory(rows + 0.05 * rows[:, [2, 0, 1]] * [1.0, 0.0, 0.0], "/truth", every=2, noise=1e-3)
-    found = first_look(Look((trajectory(rows * 3.7), seen)))
-    assert names(found) == ["wheel radius"]
+    assert names(first_look(Look((trajectory(rows * 3.7), seen)))) == ["wheel radius"]
 
 
 @pytest.mark.parametrize("factor", [0.5, 3.0, 1000.0])
