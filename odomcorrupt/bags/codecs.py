@@ -127,11 +127,6 @@ def beginning(codec: str, packed: Packed, budget: Budget) -> Iterator[bytes | me
                 yield piece
 
 
-def _of_none(packed: Packed) -> Iterator[memoryview]:
-    while piece := packed.read(_PIECE_BYTES):
-        yield piece
-
-
 def zstd_pieces(packed: Packed) -> Iterator[bytes]:
     """Decompress frames block by block (RFC 8878, section 3.1): each becomes 128 kB at most, and a cut is seen."""
     decompressor = zstandard.ZstdDecompressor()
@@ -139,7 +134,9 @@ def zstd_pieces(packed: Packed) -> Iterator[bytes]:
     while packed.left or not begun:
         head, begun = _exactly(packed, _SHORTEST_HEAD), True
         if int.from_bytes(head[:4], "little") & ~0xF == _SKIPPABLE_MAGIC:
-            _skip(packed, int.from_bytes(head[4:] + _exactly(packed, 3), "little"))
+            size = int.from_bytes(head[4:] + _exactly(packed, 3), "little")
+            while size:
+                size -= len(_exactly(packed, min(size, _PIECE_BYTES)))
             continue
         frame = decompressor.decompressobj()
         frame.decompress(head + _exactly(packed, zstandard.frame_header_size(head) - len(head)))
@@ -191,11 +188,6 @@ def _exactly(packed: Packed, size: int) -> bytes:
     return found
 
 
-def _skip(packed: Packed, size: int) -> None:
-    while size:
-        size -= len(_exactly(packed, min(size, _PIECE_BYTES)))
-
-
 def _of_lz4(packed: Packed) -> Iterator[bytes]:
     context, ends = lz4.frame.create_decompression_context(), False
     compressed = memoryview(b"")
@@ -218,7 +210,7 @@ def _of_bz2(packed: Packed) -> Iterator[bytes]:
 
 
 _PIECES: dict[str, Callable[[Packed], Iterator[bytes | memoryview]]] = {
-    "none": _of_none,
+    "none": lambda packed: iter(lambda: packed.read(_PIECE_BYTES), b""),
     "zstd": zstd_pieces,
     "lz4": _of_lz4,
     "bz2": _of_bz2,

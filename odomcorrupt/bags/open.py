@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import BagReader, BagWriter, Kind
     from odomcorrupt.bags.convert.message_types import Generation
-    from odomcorrupt.bags.mcap.reader import McapReader
     from odomcorrupt.bags.parts import PartsReader
     from odomcorrupt.bags.pipeline import Workers
     from odomcorrupt.bags.rosbag2.compression import Mode
@@ -70,7 +69,11 @@ def _reader(path: Path | None, source: Source, *, recover: bool) -> BagReader:
             from odomcorrupt.bags.mcap.reader import McapReader  # noqa: PLC0415 - see above
 
             mcap = McapReader(path, source, recover=recover)
-            return _unpacked(mcap, recover=recover) if mcap.packed else mcap
+            if not mcap.packed:
+                return mcap
+            from odomcorrupt.bags.rosbag2.compression import UnpackedMessages  # noqa: PLC0415 - see above
+
+            return UnpackedMessages(mcap, recover=recover)
         if begin.startswith(ROS1):
             from odomcorrupt.bags.ros1.reader import Ros1Reader  # noqa: PLC0415 - see above
 
@@ -87,12 +90,6 @@ def _reader(path: Path | None, source: Source, *, recover: bool) -> BagReader:
 def is_pattern(path: Path) -> bool:
     """Return whether a path names no file, but matches those of one recording, as in run_*.bag."""
     return not path.exists() and any(sign in path.name for sign in "*?[") and any(path.parent.glob(path.name))
-
-
-def _unpacked(reader: McapReader, *, recover: bool) -> BagReader:
-    from odomcorrupt.bags.rosbag2.compression import UnpackedMessages  # noqa: PLC0415 - see above
-
-    return UnpackedMessages(reader, recover=recover)
 
 
 def _parts(path: Path, *, recover: bool) -> PartsReader:

@@ -35,7 +35,7 @@ class ProvenanceWatcher:
         if isinstance(block.raw, McapFraming) and block.raw.opcode == Op.METADATA:
             content = block.data.tobytes()[RECORD_HEADER_BYTES:]
             try:
-                if _name_of(content) == NAME:
+                if content[4 : 4 + struct.unpack_from("<I", content)[0]].decode() == NAME:
                     self._found.append(mapping_of(content))
             except (struct.error, UnicodeDecodeError, ValueError):
                 pass  # a record of another program with this name
@@ -57,11 +57,6 @@ class ProvenanceWatcher:
             return ()
         own = {str(key)[len(NAME) + 1 :]: str(v) for key, v in custom.items() if str(key).startswith(f"{NAME}.")}
         return (own,) if own else ()
-
-
-def _name_of(content: bytes) -> str:
-    (size,) = struct.unpack_from("<I", content)
-    return content[4 : 4 + size].decode()
 
 
 def mapping_of(content: bytes) -> dict[str, str]:

@@ -103,15 +103,15 @@ class _Stretch:
         oldest = np.minimum(np.searchsorted(self.time_ns, time_ns - MEMORY_NS), last)
         inside_ns = np.clip(stamps_ns, self.stamps_ns[oldest], self.stamps_ns[last])
         i = np.minimum(np.searchsorted(self.stamps_ns, inside_ns, side="right") - 1, last)
+        after, i = i + 1, np.maximum(np.searchsorted(self.stamps_ns, self.stamps_ns[i]), oldest)
         xyt, sums = self.xyt[i], self.sums[:, i]
         past_ns = inside_ns - self.stamps_ns[i]
-        i = np.where(past_ns == 0, np.maximum(np.searchsorted(self.stamps_ns, inside_ns), oldest), i)
         between = np.flatnonzero(past_ns)
         if len(between):
-            k = i[between]
-            fraction = past_ns[between] / (self.stamps_ns[k + 1] - self.stamps_ns[k])
-            xyt[between] = interpolate(self.xyt[k], self.xyt[k + 1], fraction)
-            sums[:, between] += fraction * (self.sums[:, k + 1] - self.sums[:, k])
+            k, after = i[between], after[between]
+            fraction = past_ns[between] / (self.stamps_ns[after] - self.stamps_ns[k])
+            xyt[between] = interpolate(self.xyt[k], self.xyt[after], fraction)
+            sums[:, between] += fraction * (self.sums[:, after] - self.sums[:, k])
         return self._correction(xyt, sums, stamps_ns > self.stamps_ns[last])
 
     def _exactly_at(self, stamps_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> NDArray[np.int64] | slice | None:

@@ -273,7 +273,9 @@ class OdometrySource:
                 )
             return
         channels = reader.channels.values()
-        if self._odom_frame is not None and self._base_frame is not None and self._only_transforms(channels):
+        readable = [c for c in channels if c.encoding in ENCODINGS]
+        asked = {c.msgtype for c in readable if self._asked is None or plain(c.topic) == plain(self._asked)}
+        if None not in (self._odom_frame, self._base_frame) and asked & TRANSFORMS and ODOMETRY not in asked:
             self._use_edge()
         else:
             self.topic = find_odometry(channels, self._asked, name, self._usual)
@@ -287,11 +289,6 @@ class OdometrySource:
         kinds, topic = TRANSFORMS if self.by_edge else {ODOMETRY}, self._asked if self.by_edge else self.topic
         own = [c for c in self._channels.values() if c.msgtype in kinds and plain(topic or c.topic) == plain(c.topic)]
         return sorted({f"{c.topic}@/{node}" for c in own if (node := self._node_of(c))})
-
-    def _only_transforms(self, channels: Iterable[Channel]) -> bool:
-        readable = [c for c in channels if c.encoding in ENCODINGS]
-        asked = [c for c in readable if self._asked is None or plain(c.topic) == plain(self._asked)]
-        return any(c.msgtype in TRANSFORMS for c in asked) and not any(c.msgtype == ODOMETRY for c in asked)
 
     def _use_edge(self) -> None:
         self.by_edge = True

@@ -35,7 +35,7 @@ from odomcorrupt.corruption.path import DriftMeter, NoisyPath
 from odomcorrupt.corruption.pose_faults import FAR_M, W_FIRST, ZERO
 from odomcorrupt.corruption.reorder import WINDOW_NS, Arrivals, TimeOrder
 from odomcorrupt.errors import TopicError
-from odomcorrupt.sensors.consistent import find_relations, timed
+from odomcorrupt.sensors.consistent import SENSORS, find_relations, timed
 from odomcorrupt.sensors.noise import SensorNoise
 
 if TYPE_CHECKING:
@@ -310,12 +310,10 @@ class Transform:
             self._follows = self.relations(reader)
         waiting: deque[_Held] = deque()
         only = None
-        # a transform of another robot behind this one changes sensors that this one does not know
-        whole = self.truth or self.run.edge or self.options.consistent
-        if writer is not None and writer.keeps_rest and (reader.kind == "sqlite3" or not whole):
-            only = {
-                n for n, channel in reader.channels.items() if self.may_move(channel) or channel.msgtype in PLACED_TYPES
-            }
+        if writer is not None and writer.keeps_rest and (reader.kind == "sqlite3" or not (self.truth or self.run.edge)):
+            # sensors: the transform of another robot behind this one may change them
+            read = PLACED_TYPES | SENSORS if self.options.consistent else PLACED_TYPES
+            only = {n for n, channel in reader.channels.items() if self.may_move(channel) or channel.msgtype in read}
         given = joined(reader.blocks(only)) if before is None else before
         for block in given:
             waiting.append(self._take(block, reader))

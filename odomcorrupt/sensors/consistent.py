@@ -87,12 +87,14 @@ def find_relations(
     moving, known = set(), set()
     for (number, index, field), pieces in parts.items():
         series = _ordered(pieces)
-        relations = tuple(_relation(motion, series[:, 0], one) for one in series[:, 1:].T)
+        is_joint = "JointState" in chosen[number].msgtype
+        own_s, may_be = series[:, 0], (bool(index),) if is_joint else (False, True)
+        relations = tuple(_relation(motion, own_s, one, may_be) for one in series[:, 1:].T)
         found[number].setdefault(index, {})[field] = relations
         if any(relations):
             known.add(number)
         elif np.ptp(series[:, 1:], axis=0).any():  # of joints, only wheels must follow
-            moving |= {number} if "wheel" in field.lower() or "JointState" not in chosen[number].msgtype else set()
+            moving |= {number} if "wheel" in field.lower() or not is_joint else set()
     for number in sorted(moving - known):
         raise TopicError(
             f"{chosen[number].topic}: the bag does not tell how its numbers follow the odometry (they need 6 s of a "
@@ -123,7 +125,7 @@ def _body_motion(path: list[Array]) -> Array:
     return rows
 
 
-def _relation(motion: Array, own_s: Array, values: Array) -> Relation | None:
+def _relation(motion: Array, own_s: Array, values: Array, rates: tuple[bool, ...]) -> Relation | None:
     """Return how a number (n,) at times (n,) follows the motion, by least squares; None if not, or nothing tells."""
     if min(len(own_s), len(motion)) < 2:
         return None
@@ -134,7 +136,7 @@ def _relation(motion: Array, own_s: Array, values: Array) -> Relation | None:
     body = np.stack([np.diff(np.interp(grid, motion[:, 0], one)) for one in motion[:, 1:].T], axis=1)
     size = np.linalg.norm(body, axis=0)
     used = np.flatnonzero(size > _LEAST * size.max())
-    if not {0, 2} <= {*used}:
+    if len(used) < 2 or used[-1] != 2:  # travel and turns
         return None
     # the last column is a bias of a rate, or what turns on its own
     norms = np.append(size[used], np.sqrt(len(body)))
@@ -145,16 +147,16 @@ def _relation(motion: Array, own_s: Array, values: Array) -> Relation | None:
     wrapped = bool(np.ptp(values) < 2.0 * np.pi + 0.1 and np.abs(np.diff(values)).max() > np.pi)
     best, best_rest = None, _MOST
     totals = np.unwrap(values) if wrapped else values, np.append(0.0, np.cumsum(values[1:] * np.diff(own_s)))
-    for rate, total in enumerate(totals):
-        steps = np.diff(np.interp(grid, own_s, total))
+    for rate in rates:  # those that it may be
+        steps = np.diff(np.interp(grid, own_s, totals[rate]))
         found = np.linalg.lstsq(design, steps)[0]
         rest = np.linalg.norm(steps - design @ found)
-        share = float(rest / max(float(np.linalg.norm(steps - steps.mean())), 1e-12)) ** 2
+        share = float(rest / (np.linalg.norm(steps - steps.mean()) + 1e-6 * np.abs(steps).max() + 1e-12)) ** 2
         per, error = (found / norms)[:-1], (rest * spread / norms)[:-1]
         if share < best_rest and error.max() < _MOST * np.linalg.norm(per):
             whole = np.zeros(3)
             whole[used] = np.where(np.abs(per) > 3.0 * error, per, 0.0)
-            best, best_rest = Relation(whole, bool(rate), wrapped and not rate), share
+            best, best_rest = Relation(whole, rate, wrapped and not rate), share
     return best
 
 

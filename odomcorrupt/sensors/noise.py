@@ -83,7 +83,6 @@ class SensorNoise:
     def __init__(self, std_m: float, keep: float, imu: ImuNoise | None, seed: int, run: int) -> None:
         self.counts: Counter[str] = Counter()
         self._std_m, self._keep, self._imu, self._seed, self._run = std_m, keep, imu, seed, run
-        self._keys: dict[str, NDArray[np.uint64]] = {}
         self._imus: dict[tuple[int, str], tuple[np.random.Generator, int, Array]] = {}
 
     def concerns(self, msgtype: str) -> bool:
@@ -100,14 +99,13 @@ class SensorNoise:
                 self._add_to_scans(block, channel.topic, layout, stamps_ns)
 
     def _add_to_scans(self, block: Block, topic: str, layout: Layout, stamps_ns: NDArray[np.int64]) -> None:
-        if topic not in self._keys:
-            self._keys[topic] = stream(self._seed, self._run, f"scan {topic}").integers(2**63, size=2).astype(np.uint64)
+        key = stream(self._seed, self._run, f"scan {topic}").integers(2**63, size=2).astype(np.uint64)
         ranges, limits = (gather(block, layout, layout.items[0], name) for name in ("ranges", "limits"))
         limits = np.where(limits[:, 1:] > limits[:, :1], limits, (0.0, np.inf))  # some drivers state none
         stamps = zip(stamps_ns.tolist(), block.table["log_ns"][layout.rows].tolist(), strict=True)
         for own, (low, high), when in zip(ranges, limits, stamps, strict=True):
             counter = np.array([0, 0, *when], dtype=np.int64).view(np.uint64)
-            rng = np.random.Generator(np.random.Philox(key=self._keys[topic], counter=counter))
+            rng = np.random.Generator(np.random.Philox(key=key, counter=counter))
             # what is no measurement stays: infinite, NaN, zero, or a number beyond the limits
             measured = np.flatnonzero(np.isfinite(own) & (own > 0.0) & (own >= low) & (own <= high))
             noisy = own[measured] + self._std_m * rng.standard_normal(len(own))[measured]

@@ -1,7 +1,7 @@
 """After corruption every topic states the same noisy motion: generated bags, read by another library, judged by SE(3).
 
-The bags differ in storage, encoding, namespaces, attitude of the child frame, axes of the twists and repetition of
-messages. Nothing here uses the product but its call.
+The bags differ in storage, encoding, namespaces, attitude of the child frame, axes of the twists, repetition of
+messages, and in whether other sensors are made consistent. Nothing here uses the product but its call.
 """
 
 from __future__ import annotations
@@ -19,10 +19,17 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import odomcorrupt
+from odomcorrupt.cli import run
 
 ODOMETRY, TRANSFORMS, TEXT = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
 STORES = {1: get_typestore(Stores.ROS1_NOETIC), 2: get_typestore(Stores.ROS2_HUMBLE)}
 STORES[1].register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", TRANSFORMS))
+JOINTS, TICKS, IMU = "sensor_msgs/msg/JointState", "irobot_create_msgs/msg/WheelTicks", "sensor_msgs/msg/Imu"
+ENCODER = "std_msgs/msg/Int32"
+TOPICS = ("imu", "joint_states", "left_encoder", "ticks")
+RADIUS_M, TRACK_M, PER_RAD = 0.05, 0.34, 4000.0
+for store in STORES.values():
+    store.register(get_types_from_msg("std_msgs/Header header\nint32 ticks_left\nint32 ticks_right", TICKS))
 S = np.sqrt(0.5)
 STORAGES = ("ros1", "mcap", "sqlite3", "mcap zstd", "mcap big-endian")
 LAYOUTS = ("root", "namespace", "two robots", "prefixes")
@@ -36,6 +43,7 @@ ATTITUDES = {
 }
 REPEATS = ("none", "same stamp", "0.1 ms later", "held", "ten per stamp", "10 ms stamps")
 AXES = ("child", "odom")
+SENSORS = ("stay", "consistent")
 
 
 @dataclass(frozen=True)
@@ -48,7 +56,8 @@ class Kind:
     attitude: str
     repeats: str
     axes: str
-    every: ClassVar = tuple(itertools.product(STORAGES, LAYOUTS, ATTITUDES, REPEATS, AXES))
+    sensors: str = "none"
+    every: ClassVar = tuple(itertools.product(STORAGES, LAYOUTS, ATTITUDES, REPEATS, AXES, SENSORS))
 
     @property
     def ros(self) -> int:
@@ -121,6 +130,7 @@ class Drive:
     """Messages of one robot: stamps and log times (ns), position (n, 3), quat (n, 4), twist (n, 6).
 
     measured : rows of the messages with a stamp and a pose of their own
+    t, v, w, flat : times (ns), speeds, turn rates and level poses (x, y, yaw) of the robot itself
     """
 
     stamps: np.ndarray
@@ -129,11 +139,15 @@ class Drive:
     quat: np.ndarray
     twist: np.ndarray
     measured: np.ndarray
+    t: np.ndarray
+    v: np.ndarray
+    w: np.ndarray
+    flat: np.ndarray
 
 
 def drive(kind: Kind, start_rad: float) -> Drive:
     rng = np.random.default_rng([kind.number, int(start_rad * 10)])
-    n, dt = 150, 0.05
+    n, dt = 200 if kind.sensors == "consistent" else 150, 0.05
     v = 0.5 + 0.2 * np.sin(np.arange(n) * 0.03 + rng.uniform(0, 6))
     w = 0.5 * np.sin(np.arange(n) * 0.05 + rng.uniform(0, 6))
     yaw = start_rad + np.concatenate(([0.0], np.cumsum(w[1:] * dt)))
@@ -155,7 +169,7 @@ def drive(kind: Kind, start_rad: float) -> Drive:
     elif kind.repeats == "ten per stamp":
         stamps, measured = t[rows // 10 * 10], measured[::10]
     elif kind.repeats == "10 ms stamps":
-        t = t[0] + (t - t[0]) * 7 // 40  # 8.75 ms apart
+        t = t[0] + (t - t[0]) * (39 if kind.sensors == "consistent" else 7) // 40  # 8.75 ms apart, or 48.75 ms
         stamps, logs = t // 10**7 * 10**7, t + 2_000_000
         measured = np.flatnonzero(np.diff(stamps, prepend=0))
     # twists are those of the stamps, as a driver computes them
@@ -163,7 +177,8 @@ def drive(kind: Kind, start_rad: float) -> Drive:
     own = rates(stamps[measured] * 1e-9, position[rows[measured]], quat[rows[measured]], kind.axes)
     latest = np.searchsorted(measured, np.arange(len(rows)), side="right") - 1
     twist[:] = own[np.maximum(latest - 1, 0)]
-    return Drive(stamps, logs, position[rows], quat[rows], twist, measured)
+    level = np.column_stack((position[:, :2], yaw))
+    return Drive(stamps, logs, position[rows], quat[rows], twist, measured, t, v, w, level)
 
 
 def geometry(store, kind, values):
@@ -201,16 +216,48 @@ def robot(store, kind: Kind, start_rad: float, space: str):
             store.types["geometry_msgs/msg/TransformStamped"](header(store, stamp, base), "laser", wheel),
         ]
         yield f"{space}/tf", TRANSFORMS, int(log) + 1000, store.types[TRANSFORMS](edges)
+        if i % 20 == 0 and kind.number % 3 == 0:
+            place = store.types["geometry_msgs/msg/Transform"](g("Vector3", (1, 2, 0)), g("Quaternion", (0, 0, S, S)))
+            above = store.types["geometry_msgs/msg/TransformStamped"](header(store, stamp, "map"), odom, place)
+            yield f"{space}/tf", TRANSFORMS, int(log) + 1500, store.types[TRANSFORMS]([above])
         if i % 20 == 0:
             yield "/note", TEXT, int(log) + 2000, store.types[TEXT](f"note {i}")
+
+
+def turned(xy, angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack((c * xy[..., 0] - s * xy[..., 1], s * xy[..., 0] + c * xy[..., 1]), axis=-1)
+
+
+def sensors(store, kind: Kind, start_rad: float, space: str):
+    """Yield other sensors of one robot: the right wheel is mirrored, the IMU upside down."""
+    d = drive(kind, start_rad)
+    dt = np.diff(d.t, prepend=d.t[0]) * 1e-9
+    per_s = np.divide(1.0, dt, out=np.zeros(len(dt)), where=dt > 0)
+    ds, turn = d.v * 0.05 * (dt > 0), np.diff(d.flat[:, 2], prepend=start_rad)
+    steps = np.column_stack([(ds + sign * turn * TRACK_M / 2) / RADIUS_M for sign in (-1, 1)])
+    none, nine = np.zeros(0), np.zeros(9)
+    v = lambda *xyz: geometry(store, "Vector3", xyz)  # noqa: E731
+    for i, (stamp, yaw) in enumerate(zip(d.t, d.flat[:, 2], strict=True)):
+        log, head, (left, right) = int(stamp) + 2_000_000, header(store, stamp, ""), steps[: i + 1].sum(axis=0)
+        angles = np.array([(left + np.pi) % (2 * np.pi) - np.pi, 0.3, -right, 9.0 * i])
+        speeds = np.array([steps[i, 0], 0.0, -steps[i, 1], 9.0]) * per_s[i]
+        names = ["left_wheel", "arm", "right_wheel", "scanner"]
+        yield f"{space}/joint_states", JOINTS, log, store.types[JOINTS](head, names, angles, speeds, none)
+        yield f"{space}/ticks", TICKS, log, store.types[TICKS](head, int(PER_RAD * left), int(PER_RAD * right))
+        yield f"{space}/left_encoder", ENCODER, log, store.types[ENCODER](int(-PER_RAD * left))
+        q = geometry(store, "Quaternion", (0, 0, np.sin(yaw / 2), np.cos(yaw / 2)))
+        rate = v(0, 0, 0.01 - turn[i] * per_s[i])
+        yield f"{space}/imu", IMU, log, store.types[IMU](head, q, nine, rate, nine, v(0, 0, -9.8), nine)
 
 
 def write(kind: Kind, path) -> None:
     store = STORES[kind.ros]
     space = kind.names[0].removesuffix("/odom")
-    rows = list(robot(store, kind, 0.4, space))
-    if kind.layout == "two robots":
-        rows += robot(store, kind, 2.0, "/robot2")
+    spaces = {space: 0.4, **({"/robot2": 2.0} if kind.layout == "two robots" else {})}
+    rows = [row for own, start_rad in spaces.items() for row in robot(store, kind, start_rad, own)]
+    if kind.sensors != "none":
+        rows += [row for own, start_rad in spaces.items() for row in sensors(store, kind, start_rad, own)]
     rows.sort(key=lambda row: row[2])
     if kind.ros == 1:
         writer = Writer1(path)
@@ -257,6 +304,8 @@ def edges_at(messages):
         q, p, time = one.transform.rotation, one.transform.translation, one.header.stamp
         if one.child_frame_id == "laser":
             stay &= (p.x, p.y, q.w) == (0.1, 0.2, 1.0)
+        elif one.header.frame_id == "map":
+            stay &= (p.x, p.y, q.w) == (1.0, 2.0, S)
         else:
             at.setdefault(time.sec * 10**9 + time.nanosec, []).append((p.x, p.y, p.z, q.x, q.y, q.z, q.w))
     return at, stay
@@ -271,7 +320,8 @@ def violations(kind: Kind, folder) -> list[str]:
         robots["/robot2/odom", "/robot2/tf"] = 2.0
     noise = odomcorrupt.Noise(alpha=(0.05, 0.02, 0.05, 0.01))
     first, *also = (odom for odom, _ in robots)
-    odomcorrupt.corrupt(source, target, seed=kind.number, odom_topic=first, also=also, model=noise)
+    options = {"odom_topic": first, "also": also, "model": noise, "consistent": kind.sensors == "consistent"}
+    done = odomcorrupt.corrupt(source, target, seed=kind.number, **options)
     before, after = (read(path, STORES[kind.ros]) for path in (source, target))
     wrong = []
     if [m[:2] for m in before] != [m[:2] for m in after]:
@@ -279,12 +329,19 @@ def violations(kind: Kind, folder) -> list[str]:
     if [len(m[2]) for m in before] != [len(m[2]) for m in after]:
         wrong.append("lengths of messages")
     changing = {topic for names in robots for topic in names}
+    others = {odom.replace("odom", name) for odom, _ in robots for name in TOPICS}
+    if done.outcome.with_true_motion != (sorted(others) if kind.sensors == "stay" else []):
+        wrong.append(f"{done.outcome.with_true_motion} have the true motion")
+    changing |= others if kind.sensors == "consistent" else set()
     wrong += [f"bytes of {a[0]}" for a, b in zip(before, after, strict=True) if a[0] not in changing and a[2] != b[2]]
     ends = []
     for names, start_rad in robots.items():
         found, error = inconsistencies(kind, *([m for m in bag if m[0] in names] for bag in (before, after)), start_rad)
         wrong += found
         ends.append(error)
+        if kind.sensors == "consistent":
+            space = names[0].removesuffix("/odom")
+            wrong += of_sensors(kind, [m for m in after if m[0].startswith(f"{space}/")], space, start_rad)
     if len(ends) == 2 and np.abs(ends[0] - ends[1]).max() < 1e-3:
         wrong.append("both robots have the same noise")
     return [f"{kind}: {one}" for one in wrong]
@@ -351,6 +408,63 @@ def inconsistencies(kind: Kind, before, after, start_rad: float):
     return wrong, place[:, :2] - place0[:, :2]
 
 
+def of_sensors(kind: Kind, after, space: str, start_rad: float) -> list[str]:
+    """Return what is wrong in the sensors of one robot: whoever integrates them gets the noisy odometry."""
+    at = {name: [m[3] for m in after if m[0] == f"{space}/{name}"] for name in ("odom", *TOPICS)}
+    d = drive(kind, start_rad)
+    rows = np.flatnonzero(np.isin(d.t, d.stamps[d.measured])) if kind.repeats != "10 ms stamps" else np.arange(len(d.t))
+    _, place, quat, *_ = numbers(at["odom"])
+    back = np.array(ATTITUDES[kind.attitude]) * (-1, -1, -1, 1)
+    noisy = np.column_stack((place[:, :2], 2.0 * np.arctan2(*product(quat, back)[:, 2:].T)))[d.measured]
+    drift_m = np.hypot(*(noisy - d.flat[rows])[:, :2].T).max()
+    # stamps that are cut are of another time than the sensor's
+    late = 8e-3 if kind.repeats == "10 ms stamps" else 1e-3
+    # a curve between two stamps; wheels do not slip sideways, as the noise of a child frame that travels so does
+    coarse = 0.02 if kind.repeats == "ten per stamp" else 2e-3
+    rolled = np.inf if kind.attitude == "optical" else coarse
+    start = np.array([*noisy[0, :2], start_rad])
+    found = [(*one, rolled, late) for one in by_wheels(at, d, start)]
+    found += [(*one, np.inf, late) for one in by_imu(at, d, start)]
+    wrong = []
+    for name, poses, most_m, most_rad in found:
+        off = poses[rows] - noisy
+        far, turn = np.hypot(*off[:, :2].T).max(), np.abs((off[:, 2] + np.pi) % (2 * np.pi) - np.pi).max()
+        if not (far < most_m + late + 0.03 * drift_m and turn < most_rad):
+            wrong.append(f"{name}: {far:.3g} m and {turn:.2g} rad off at a drift of {drift_m:.3g} m")
+    angles = np.array([m.position for m in at["joint_states"]])
+    others = np.column_stack((np.full(len(angles), 0.3), 9.0 * np.arange(len(angles))))
+    if np.abs(angles[:, 0]).max() > np.pi or not np.array_equal(angles[:, [1, 3]], others):
+        wrong.append("wrapped angles stay so, other joints as they are")
+    encoder, ticks = np.array([(-e.data, m.ticks_left) for e, m in zip(at["left_encoder"], at["ticks"], strict=True)]).T
+    if np.abs(encoder - ticks)[rows].max() > PER_RAD * (coarse + 5.0 * late) / RADIUS_M:
+        wrong.append("the encoder is that of the wheel")
+    return wrong
+
+
+def by_wheels(at, d: Drive, start):
+    """Yield names and poses (n, 3) of what wheels integrate to."""
+    angles, speeds = (np.array([getattr(m, one) for m in at["joint_states"]]) for one in ("position", "velocity"))
+    turned_by = speeds * np.diff(d.t, prepend=d.t[0])[:, None] * 1e-9
+    ticks = np.array([(m.ticks_left, m.ticks_right) for m in at["ticks"]]) / PER_RAD
+    for name, left, right in (
+        ("wheels", np.unwrap(angles[:, 0]), -angles[:, 2]),
+        ("speeds of wheels", np.cumsum(turned_by[:, 0]), -np.cumsum(turned_by[:, 2])),
+        ("ticks", *ticks.T),
+    ):
+        left, right = RADIUS_M * np.diff(left), RADIUS_M * np.diff(right)  # noqa: PLW2901 - metres
+        yaw = start[2] + np.concatenate(([0.0], np.cumsum(right - left))) / TRACK_M
+        steps = turned(np.column_stack(((left + right) / 2, np.zeros(len(left)))), (yaw[1:] + yaw[:-1]) / 2)
+        yield name, np.column_stack((np.cumsum(np.vstack((start[:2], steps)), axis=0), yaw))
+
+
+def by_imu(at, d: Drive, start):
+    """Yield names and poses (n, 3) of an IMU, whose places are none."""
+    dt = np.diff(d.t, prepend=d.t[0]) * 1e-9
+    rate, z, w = np.array([(m.angular_velocity.z, m.orientation.z, m.orientation.w) for m in at["imu"]]).T
+    for name, yaw in (("gyro", start[2] + np.cumsum((0.01 - rate) * dt)), ("IMU", 2.0 * np.arctan2(z, w))):
+        yield name, np.column_stack((np.zeros((len(dt), 2)), yaw))
+
+
 @pytest.mark.parametrize("kind", kinds(10), ids=lambda kind: str(kind.number))
 def test_every_topic_states_the_same_noisy_motion(kind, tmp_path):
     assert violations(kind, tmp_path) == []
@@ -363,9 +477,10 @@ def test_every_topic_of_500_bags_states_the_same_noisy_motion(tmp_path):
 
 def test_a_batch_of_two_robots_has_the_bytes_of_single_runs(tmp_path):
     source = tmp_path / "in.mcap"
-    write(Kind(3, "mcap", "two robots", "level", "none", "child"), source)
+    write(Kind(3, "mcap", "two robots", "level", "none", "child", "consistent"), source)
     (file,) = source.glob("*.mcap")
     options = {"seed": 3, "odom_topic": "/robot1/odom", "also": ("/robot2/odom",), "model": "typical"}
+    options["consistent"] = True
     made = odomcorrupt.batch(file, tmp_path / "runs", runs=2, **options)
     for number, path in enumerate(made.paths):
         odomcorrupt.corrupt(file, tmp_path / "one.mcap", run=number, overwrite=True, **options)
@@ -373,3 +488,13 @@ def test_a_batch_of_two_robots_has_the_bytes_of_single_runs(tmp_path):
         assert "--also /robot2/odom" in made.records[number]["command"]
     with pytest.raises(odomcorrupt.errors.BatchError, match="also"):
         odomcorrupt.batch(file, tmp_path / "overlays", runs=1, output="overlay", **options)
+
+
+@pytest.mark.parametrize(("words", "code", "said"), [
+    ([], 1, "the bag does not tell how"), (["--tf", "correction", "--new-odom-frame", "a"], 2, "leave one"),
+])  # fmt: skip
+def test_what_cannot_be_consistent_is_one_line(tmp_path, capsys, words, code, said):
+    write(Kind(0, "mcap", "root", "level", "10 ms stamps", "child", "stay"), tmp_path / "in")  # 1.3 s are too short
+    assert run([str(tmp_path / "in"), str(tmp_path / "out"), "--consistent", *words]) == code
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

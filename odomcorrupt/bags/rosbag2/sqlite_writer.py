@@ -398,8 +398,8 @@ class SqliteWriter(SqliteOutput):
                 self._change("DELETE FROM messages WHERE rowid = ?", [(row,)])
                 self._expect(topic, -(size or 0), -1)
 
-    def _require_all(self) -> None:
-        """Raise BagError where the number of changed rows is not the expected one."""
+    def _complete(self) -> None:
+        self._drop_lost()
         done = self._connection.total_changes
         expected = {topic: seen for topic, seen in self._expected.items() if seen != (0, 0)}
         if done != self._changes or count_messages(self._connection) != expected:
@@ -408,9 +408,6 @@ class SqliteWriter(SqliteOutput):
                 "not to be touched; the output is discarded, because the input's schema is not rosbag2's"
             )
 
-    def _complete(self) -> None:
-        self._drop_lost()
-        self._require_all()
         self._connection.execute("COMMIT")
         if self._journal == "wal":
             self._connection.execute("PRAGMA journal_mode = WAL").fetchall()
