@@ -111,11 +111,11 @@ class Integration(Result):
         error = self.own_error if self.truth_topic is None else self.truth_error
         if error is None:
             raise TopicError("odometry and truth share no time; name another topic with --truth")
+        name = "bag's own path" if self.truth_topic is None else "true path"
         if self.twist_noise is None:
             title = f"Odometry integrated from velocities alone ({self.rule})"
-            return draw_errors(error, f"twists, {self.rule}", title)
+            return draw_errors(error, name, f"twists, {self.rule}", title)
         v, omega = self.twist_noise
-        name = "bag's own path" if self.truth_topic is None else "true path"
         title = f"Velocities with white noise of {v:g} m/s and {omega:g} rad/s"
         return draw_runs(self.runs_xyt, error.truth_xyt, name, title)
 

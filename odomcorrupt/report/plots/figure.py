@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 BLUE, RED, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
 """Okabe & Ito's palette; RED is their vermilion."""
+TRUTH, RUNS, LOST = BLACK, BLUE, RED
+"""Of all figures: the truth, or clean odometry, which is the truth of its runs; runs and estimates; what is lost."""
 COLOURS, MARKERS = (RED, BLUE, GREEN, ORANGE, PURPLE, SKY), ("o", "s", "^", "D", "v", "P")
 """Colour and marker of each model; markers also distinguish them in grey print."""
 

@@ -10,7 +10,7 @@ from matplotlib.transforms import Affine2D
 
 from odomcorrupt.mapping.occupancy_grid import OCCUPIED, Grid
 from odomcorrupt.mapping.scan_map import added_thickness
-from odomcorrupt.report.plots.figure import BLACK, BLUE, GREEN, RED, drawing, new_figure
+from odomcorrupt.report.plots.figure import BLACK, GREEN, RUNS, TRUTH, drawing, new_figure
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.occupancy_grid import FreeSpace
     from odomcorrupt.mapping.scan_map import ScanMap
 
-PATHS = (BLUE, RED, GREEN)
+PATHS = (TRUTH, RUNS, GREEN)
 
 
 def draw_scan_maps(maps: Sequence[ScanMap], window_m: float, added: str = "added by noise") -> Figure:
@@ -95,7 +95,7 @@ def _thickness(axes: Axes, maps: Sequence[ScanMap], window_m: float, added: str)
             label=scan_map.name,
         )  # fmt: skip
     added_m = added_thickness(maps[0].thickness_m, maps[1].thickness_m)
-    axes.plot(maps[0].marks_m, 100.0 * added_m, "s--", color=BLACK, markersize=4, label=added)
+    axes.plot(maps[0].marks_m, 100.0 * added_m, "s--", color="0.6", markersize=4, label=added)
     axes.set(xlabel="distance travelled (m)", ylabel="cm", ylim=(0.0, None), xlim=(0.0, None))
     axes.set_title(f"wall thickness (Razlaw et al. 2015), window {window_m:g} m")
     axes.grid(visible=True, color="0.92")

@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.trajectory import distance_along
-from odomcorrupt.report.plots.figure import BLACK, BLUE, ORANGE, RED, SKY, drawing, model_panels, new_figure, short_name
+from odomcorrupt.report.plots.figure import ORANGE, RED, RUNS, SKY, TRUTH, drawing, model_panels, new_figure, short_name
 from odomcorrupt.study.validate.predictive_check import Replay, replay
 
 if TYPE_CHECKING:
@@ -52,11 +52,11 @@ def _panel(axes: Axes, paths: Replay, name: str) -> None:
             run[:, 0], run[:, 1], color=SKY, linewidth=0.6, alpha=0.35, rasterized=True, zorder=1,
             label=f"{len(runs)} runs of the model" if i == 0 else None,
         )  # fmt: skip
-    axes.plot(*runs[:, -1, :2].T, ".", color=BLUE, markersize=4, alpha=0.7, zorder=2, label="their ends")
-    axes.plot(*truth[:, :2].T, color=BLACK, linewidth=1.2, zorder=3, label="truth")
+    axes.plot(*runs[:, -1, :2].T, ".", color=RUNS, markersize=4, alpha=0.7, zorder=2, label="their ends")
+    axes.plot(*truth[:, :2].T, color=TRUTH, linewidth=1.2, zorder=3, label="truth")
     axes.plot(*measured[:, :2].T, color=RED, linewidth=1.4, zorder=4, label="measured odometry")
-    axes.plot(*truth[0, :2], "s", color=BLACK, markersize=7, zorder=5)
-    axes.plot(*truth[-1, :2], "o", color=BLACK, markersize=7, zorder=5)
+    axes.plot(*truth[0, :2], "s", color=TRUTH, markersize=7, zorder=5)
+    axes.plot(*truth[-1, :2], "o", color=TRUTH, markersize=7, zorder=5)
     axes.plot(*measured[-1, :2], "o", color=RED, markeredgecolor="white", markersize=8, zorder=6)
     marks = np.searchsorted(paths.distance_m, np.linspace(0.0, paths.distance_m[-1], _MARKS + 1)[1:])
     inside = int(paths.inside(np.minimum(marks, len(paths.distance_m) - 1)).sum())
@@ -83,12 +83,12 @@ def draw_corruption(
     with drawing():
         figure = new_figure(9.0, 4.6)
         plane, growth = figure.subplots(1, 2, width_ratios=(3, 2))
-        plane.plot(after[:, 0], after[:, 1], color=BLUE, linewidth=1.2, label=names[1])
-        plane.plot(before[:, 0], before[:, 1], color=BLACK, linewidth=1.4, label=names[0])
+        plane.plot(after[:, 0], after[:, 1], color=RUNS, linewidth=1.2, label=names[1])
+        plane.plot(before[:, 0], before[:, 1], color=TRUTH, linewidth=1.4, label=names[0])
         plane.set(xlabel="x in odom, m", ylabel="y in odom, m")
         plane.set_aspect("equal", adjustable="datalim")
         plane.legend(loc="best", fontsize=9)
-        growth.plot(driven_m, np.hypot(error[:, 0], error[:, 1]), color=BLUE, label="position, m")
+        growth.plot(driven_m, np.hypot(error[:, 0], error[:, 1]), color=RUNS, label="position, m")
         growth.set(xlabel="distance driven, m", ylabel="position, m", xlim=(0.0, None), ylim=(0.0, None))
         heading = growth.twinx()
         heading.spines["right"].set_visible(True)
@@ -100,27 +100,27 @@ def draw_corruption(
     return figure
 
 
-def draw_errors(error: PathErrors, name: str, title: str) -> Figure:
+def draw_errors(error: PathErrors, true_name: str, name: str, title: str) -> Figure:
     """Draw a path and its heading with the truth, and the error of each below."""
     t = error.t_s
     with drawing():
         figure = new_figure(10.0, 6.6)
         (path, heading), (position, turn) = figure.subplots(2, 2, height_ratios=(2.2, 1))
         for xyt, colour, style, label in (
-            (error.truth_xyt, BLUE, "-", "truth"),
-            (error.estimate_xyt, RED, (0, (4, 3)), name),
+            (error.truth_xyt, TRUTH, "-", true_name),
+            (error.estimate_xyt, RUNS, (0, (4, 3)), name),
         ):
             path.plot(xyt[:, 0], xyt[:, 1], color=colour, linestyle=style, label=label, linewidth=1.8)
             heading.plot(t, np.degrees(xyt[:, 2]), color=colour, linestyle=style, linewidth=1.8)
-        path.plot(*error.truth_xyt[0, :2], "s", color=BLACK, markersize=6, label="start")
+        path.plot(*error.truth_xyt[0, :2], "s", color=TRUTH, markersize=6, label="start")
         _plane(path)
         path.legend(loc="best")
         heading.set(ylabel="heading (deg)", xlabel="time (s)")
         worst = float(error.position_m.max())
-        position.plot(t, 1e3 * error.position_m, color=BLACK, linewidth=1.2)
+        position.plot(t, 1e3 * error.position_m, color=TRUTH, linewidth=1.2)
         position.set(ylabel="position error (mm)", xlabel="time (s)", title=f"at most {worst:.4f} m", ylim=(0.0, None))
         worst = float(np.abs(error.heading_rad).max())
-        turn.plot(t, 1e3 * error.heading_rad, color=BLACK, linewidth=0.8)
+        turn.plot(t, 1e3 * error.heading_rad, color=TRUTH, linewidth=0.8)
         turn.set(ylabel="heading error (mrad)", xlabel="time (s)", title=f"at most {worst:.4f} rad")
         for axes in (heading, position, turn):
             axes.grid(visible=True, color="0.92")
@@ -129,7 +129,7 @@ def draw_errors(error: PathErrors, name: str, title: str) -> Figure:
 
 
 def draw_runs(runs_xyt: Array, true_xyt: Array, true_name: str, title: str) -> Figure:
-    """Draw noisy paths (runs, n, 3) in red and the true one (m, 3) in blue over them."""
+    """Draw noisy paths (runs, n, 3) and the true one (m, 3) over them."""
     with drawing():
         figure = new_figure(8.0, 6.4)
         axes = figure.subplots()
@@ -137,17 +137,14 @@ def draw_runs(runs_xyt: Array, true_xyt: Array, true_name: str, title: str) -> F
         every = max(runs_xyt.shape[1] // 1000, 1)
         for i, run in enumerate(runs_xyt):
             label = f"{len(runs_xyt)} noisy runs" if i == 0 else None
-            axes.plot(run[::every, 0], run[::every, 1], color=RED, linewidth=0.6, alpha=0.5, label=label)
+            axes.plot(run[::every, 0], run[::every, 1], color=RUNS, linewidth=0.6, alpha=0.5, label=label)
         ends = runs_xyt[:, -1]
-        axes.plot(ends[:, 0], ends[:, 1], ".", color=RED, markersize=5, label="their ends")
-        axes.plot(true_xyt[:, 0], true_xyt[:, 1], color=BLUE, linewidth=2.2, label=true_name)
-        axes.plot(*true_xyt[0, :2], "s", color=BLACK, markersize=7, label="start")
-        axes.plot(*true_xyt[-1, :2], "o", color="white", markeredgecolor=BLACK, markersize=7, label="true end")
+        axes.plot(ends[:, 0], ends[:, 1], ".", color=RUNS, markersize=5, label="their ends")
+        axes.plot(true_xyt[:, 0], true_xyt[:, 1], color=TRUTH, linewidth=2.2, label=true_name)
+        axes.plot(*true_xyt[0, :2], "s", color=TRUTH, markersize=7, label="start")
+        axes.plot(*true_xyt[-1, :2], "o", color="white", markeredgecolor=TRUTH, markersize=7, label="true end")
         _plane(axes)
-        legend = axes.legend(loc="best")
-        for handle in legend.legend_handles:
-            if handle is not None:
-                handle.set_alpha(1.0)
+        axes.legend(loc="best")
         axes.set_title(title)
     return figure
 
@@ -166,15 +163,15 @@ def draw_fan(outlook: Forecast, title: str) -> Figure:
         plane = figure.add_subplot(places[:, 0])
         position, heading = figure.add_subplot(places[0, 1]), figure.add_subplot(places[1, 1])
         for path in outlook.noisy_xy:
-            plane.plot(path[:, 0], path[:, 1], color=BLUE, alpha=0.15, linewidth=0.8)
-            plane.plot(path[-1, 0], path[-1, 1], ".", color=BLUE, alpha=0.6, markersize=4)
-        plane.plot([], [], color=BLUE, label=f"{outlook.runs} runs, ends as dots")
-        plane.plot(outlook.clean_xy[:, 0], outlook.clean_xy[:, 1], color=BLACK, linewidth=1.4, label="clean")
+            plane.plot(path[:, 0], path[:, 1], color=RUNS, alpha=0.15, linewidth=0.8)
+            plane.plot(path[-1, 0], path[-1, 1], ".", color=RUNS, alpha=0.6, markersize=4)
+        plane.plot([], [], color=RUNS, label=f"{outlook.runs} runs, ends as dots")
+        plane.plot(outlook.clean_xy[:, 0], outlook.clean_xy[:, 1], color=TRUTH, linewidth=1.4, label="clean")
         plane.set(xlabel="x in odom (m)", ylabel="y in odom (m)", title="Paths by the corrupted odometry")
         plane.set_aspect("equal", adjustable="datalim")
         plane.legend(loc="best", fontsize=9)
         distance = [row.after_m for row in outlook.rows]
-        position.plot(distance, [row.position_rms_m for row in outlook.rows], "o-", color=BLUE)
+        position.plot(distance, [row.position_rms_m for row in outlook.rows], "o-", color=RUNS)
         position.set(title="How the drift grows (root mean square)", ylabel="position (m)")
         heading.plot(distance, [math.degrees(row.heading_rms_rad) for row in outlook.rows], "s-", color=ORANGE)
         heading.set(xlabel="distance driven (m)", ylabel="heading (deg)")

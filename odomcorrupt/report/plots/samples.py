@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.patches import Ellipse as EllipsePatch
 
 from odomcorrupt.geometry.se2 import wrap
-from odomcorrupt.report.plots.figure import BLACK, BLUE, GREEN, ORANGE, RED, SKY, drawing, new_figure
+from odomcorrupt.report.plots.figure import BLACK, BLUE, GREEN, ORANGE, RED, RUNS, SKY, TRUTH, drawing, new_figure
 from odomcorrupt.report.plots.maps import draw_free_space
 from odomcorrupt.sampling.samples import Moments, Move, ellipse, linearised_moments, sample_moments
 
@@ -217,9 +217,9 @@ def draw_spread(report: SpreadReport) -> Figure:
         grid = figure.add_gridspec(2, 2, width_ratios=(3, 2))
         plane = figure.add_subplot(grid[:, 0])
         for path in report.runs_xy:
-            plane.plot(path[:, 0], path[:, 1], color=RED, alpha=0.2, linewidth=0.8)
-        plane.plot([], [], color=RED, label=f"{len(report.runs_xy)} of {report.runs} runs")
-        plane.plot(report.clean_xy[:, 0], report.clean_xy[:, 1], color=BLUE, linewidth=2.0, label="true path")
+            plane.plot(path[:, 0], path[:, 1], color=RUNS, alpha=0.2, linewidth=0.8)
+        plane.plot([], [], color=RUNS, label=f"{len(report.runs_xy)} of {report.runs} runs")
+        plane.plot(report.clean_xy[:, 0], report.clean_xy[:, 1], color=TRUTH, linewidth=2.0, label="clean path")
         plane.set(xlabel="x in odom, m", ylabel="y in odom, m", title="Paths by the corrupted odometry")
         plane.set_aspect("equal", adjustable="datalim")
         plane.legend(loc="best", fontsize=9)
@@ -228,14 +228,14 @@ def draw_spread(report: SpreadReport) -> Figure:
         ):
             growth = figure.add_subplot(grid[row, 1])
             band = report.band
-            below: dict[str, Any] = {"color": BLUE, "alpha": 0.15, "linewidth": 0.0, "label": "predicted, 2 sigma"}
+            below: dict[str, Any] = {"color": TRUTH, "alpha": 0.15, "linewidth": 0.0, "label": "predicted, 2 sigma"}
             growth.fill_between(band[:, 0], 2.0 * factor * band[:, column], **below)
-            growth.plot(band[:, 0], factor * band[:, column], color=BLUE, linewidth=1.2, label="predicted, 1 sigma")
+            growth.plot(band[:, 0], factor * band[:, column], color=TRUTH, linewidth=1.2, label="predicted, 1 sigma")
             errors = report.errors
             for run in errors[:200]:
-                growth.plot(run[:, 0], factor * run[:, column], color=RED, alpha=0.12, linewidth=0.7)
+                growth.plot(run[:, 0], factor * run[:, column], color=RUNS, alpha=0.12, linewidth=0.7)
             rms = np.sqrt(np.mean(errors[:, :, column] ** 2, axis=0))
-            growth.plot(errors[0, :, 0], factor * rms, "o-", color=RED, markersize=3.5, label="runs, rms")
+            growth.plot(errors[0, :, 0], factor * rms, "o-", color=RUNS, markersize=3.5, label="runs, rms")
             growth.set(ylabel=label, xlim=(0.0, None), ylim=(0.0, None))
             growth.legend(loc="upper left", fontsize=8)
         growth.set_xlabel("distance driven, m")

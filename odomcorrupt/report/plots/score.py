@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import NullLocator
 
-from odomcorrupt.report.plots.figure import BLACK, BLUE, ORANGE, RED, SKY, drawing, new_figure, plain_logarithm
+from odomcorrupt.report.plots.figure import LOST, ORANGE, RUNS, SKY, TRUTH, drawing, new_figure, plain_logarithm
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,7 +45,7 @@ def drift(axes: Axes, report: ScoreReport) -> None:
     above = [run.drift for run in runs if run.drift > 0.0]
     # zero drift is drawn at the left end of the logarithmic axis
     least = 0.5 * min(above, default=1.0)
-    for lost, colour, marker, label in ((False, BLUE, "o", "not lost"), (True, RED, "X", "lost")):
+    for lost, colour, marker, label in ((False, RUNS, "o", "not lost"), (True, LOST, "X", "lost")):
         own = [run for run in runs if run.failed is lost]
         if own:
             shares = [100.0 * max(run.drift, least) for run in own]
@@ -58,7 +58,7 @@ def drift(axes: Axes, report: ScoreReport) -> None:
         at = [100.0 * max(point.drift, least) for point in points]
         for quantile, style in (("median", "-"), ("p90", "--")):
             ate = [getattr(point.summary("ate_m"), quantile).value for point in points]
-            axes.plot(at, ate, style, color=BLACK, linewidth=1.2, label=f"{quantile} of a point")
+            axes.plot(at, ate, style, color=TRUTH, linewidth=1.2, label=f"{quantile} of a point")
     found = report.breakdown
     if found.drift is not None:
         axes.axvline(100.0 * found.drift, color=ORANGE, linewidth=1.5, label="5 % of runs lost")
@@ -79,11 +79,11 @@ def along(axes: Axes, report: ScoreReport) -> None:
     """Draw the position error of each run along the path, with median and 90 % quantile."""
     runs = [run for run in report.runs if run.scored]
     for run in runs[:_SHOWN]:
-        axes.plot(run.distance_m, run.position_m, color=RED if run.failed else BLUE, alpha=0.15, linewidth=0.7)
+        axes.plot(run.distance_m, run.position_m, color=LOST if run.failed else RUNS, alpha=0.15, linewidth=0.7)
     known = [s for s in report.sections if s.runs]
     middle = [(s.from_m + s.to_m) / 2.0 for s in known]
-    axes.plot(middle, [s.median_m for s in known], color=BLACK, linewidth=1.8, label="median of runs")
-    axes.plot(middle, [s.p90_m for s in known], color=BLACK, linewidth=1.2, linestyle="--", label="9 of 10 runs below")
+    axes.plot(middle, [s.median_m for s in known], color=TRUTH, linewidth=1.8, label="median of runs")
+    axes.plot(middle, [s.p90_m for s in known], color=TRUTH, linewidth=1.2, linestyle="--", label="9 of 10 runs below")
     axes.axhline(report.limits.lost_m, color=ORANGE, linewidth=1.0, label="limit of a loss")
     top = max((s.p90_m for s in known), default=1.0)
     axes.set(xlabel="distance driven, m", ylabel="position error, m", yscale="log", title="Error along the path")
@@ -97,10 +97,10 @@ def places(axes: Axes, report: ScoreReport) -> None:
     for run in runs[:_SHOWN]:
         axes.plot(*run.estimate_xy.T, color=SKY, alpha=0.25, linewidth=0.6)
     axes.plot([], [], color=SKY, label=f"{min(len(runs), _SHOWN)} estimates")
-    axes.plot(*report.clean_xy.T, color=BLACK, linewidth=1.4, label="truth")
+    axes.plot(*report.clean_xy.T, color=TRUTH, linewidth=1.4, label="truth")
     lost = np.array([run.failure.xy_m for run in runs if run.failure is not None]).reshape(-1, 2)
     if len(lost):
-        axes.plot(*lost.T, "X", color=RED, markersize=6, label=f"{len(lost)} lost here")
+        axes.plot(*lost.T, "X", color=LOST, markersize=6, label=f"{len(lost)} lost here")
     low, high = report.clean_xy.min(axis=0), report.clean_xy.max(axis=0)
     margin = 0.15 * float((high - low).max()) + 0.5
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
