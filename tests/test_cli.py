@@ -22,7 +22,6 @@ from odomcorrupt.model.presets import PRESETS
 
 FIXTURES = Path(__file__).parent.parent / "fixtures"
 OFFICE = str(FIXTURES / "office.mcap")
-OFFICE1 = str(FIXTURES / "office.bag")
 
 
 @pytest.fixture
@@ -61,13 +60,7 @@ def test_the_top_help_shows_the_default_commands_options_and_every_command(capsy
     for name in commands:
         assert f"\n  {name} " in text
     assert not any(name.startswith("_") for name in commands)
-
-
-def test_help_names_every_law_and_where_presets_are_listed():
-    default = cli.get_command(click.Context(cli), "corrupt")
-    help_of = {option.name: option.help for option in default.params if isinstance(option, click.Option)}
-    assert all(name in help_of["law"] for name in LAWS)
-    assert "odomcorrupt presets" in help_of["preset"]
+    assert all(name in text for name in (*LAWS, "odomcorrupt presets"))
 
 
 def test_help_needs_none_of_the_heavy_libraries():
@@ -210,7 +203,7 @@ BROKEN = {
     "empty": lambda: b"",
     "without a header": lambda: Path(OFFICE).read_bytes()[:8] + b"\x07" + Path(OFFICE).read_bytes()[9:],
     "truncated.mcap": lambda: Path(OFFICE).read_bytes()[:320_000],
-    "truncated.bag": lambda: Path(OFFICE1).read_bytes()[:300_000],
+    "truncated.bag": lambda: (FIXTURES / "office.bag").read_bytes()[:300_000],
 }
 
 

@@ -41,11 +41,11 @@ class Score(Result):
         """Whether a rule of `check` has failed."""
         return any(verdict.failed for verdict in self.verdicts)
 
-    def check(self, rules: Sequence[str], baseline: Mapping[str, Any] | None = None) -> Score:
+    def check(self, rules: Sequence[str], baseline: Mapping[str, Any] | Sequence[Mapping[str, Any]] = ()) -> Score:
         """Return the same score with the verdicts of a gate.
 
         rules : such as "ate_p90 +20%" (relative to the baseline), "lost +1", "lost +5%" or "ate_median > 0.3"
-        baseline : `to_dict()` of an earlier score, or the content of a file of `odomcorrupt score --save`
+        baseline : `to_dict()` of an earlier score, as in a file of `--save`; of several, the median of each run
 
         Returns
         -------

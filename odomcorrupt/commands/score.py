@@ -53,10 +53,9 @@ _BASELINE_BYTES = 1 << 28
 )  # fmt: skip
 @click.option("--count-missing", is_flag=True, hidden=True, expose_value=False)
 @click.option(
-    "--baseline",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Result of an earlier --save, to compare with.",
-)
+    "--baseline", multiple=True, type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Result of an earlier --save, to compare with; of several, the median of each run (repeatable).",
+)  # fmt: skip
 @click.option(
     "--fail-if", "rules", multiple=True, metavar="RULE",
     help='Exit with 1 if this rule holds, as in "ate_p90 +20%", "lost +1", "ate_median > 0.3" (repeatable).',
@@ -81,11 +80,11 @@ def command(runs: tuple[Path, ...], *, console: Console, **given: Any) -> int:
     from odomcorrupt.scoring.errors import Limits
     from odomcorrupt.scoring.gate import parse_rule
 
-    if given["baseline"] is not None and not given["rules"]:
+    if given["baseline"] and not given["rules"]:
         raise click.UsageError('--baseline: is for a gate; give a rule, as in --fail-if "ate_p90 +20%"')
     for rule in given["rules"]:
         parse_rule(rule)
-    baseline = None if given["baseline"] is None else _baseline(given["baseline"])
+    baseline = [_baseline(path) for path in given["baseline"]]
     with Stages("scoring", quiet=console.quiet):
         result = score(
             runs, given["estimate"], truth=given["truth"], truth_bag=given["truth_bag"],

@@ -146,8 +146,6 @@ def path_errors(
 ) -> PathErrors:
     """Return the errors of an estimate at its stamps within the truth's period.
 
-    Parameters
-    ----------
     estimate, truth : headings may be NaN, if only positions were recorded
     align : "rigid": rotated and translated for the smallest distance of positions; "origin": first poses made equal;
         "none", "same": as recorded, both in one frame

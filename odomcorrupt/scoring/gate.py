@@ -15,6 +15,7 @@ Fisher, The Design of Experiments, 1935. Rates of errors of both kinds: `benchma
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import degrees, erfc, exp, inf, isfinite, log, sqrt
 from typing import TYPE_CHECKING, Any, Literal
@@ -25,7 +26,7 @@ from odomcorrupt.scoring.errors import ScoreError
 from odomcorrupt.scoring.statistics import quantile
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from odomcorrupt.geometry.se2 import Array
 
@@ -56,7 +57,7 @@ STATISTICS: dict[str, Callable[[Array], Array]] = {
     "p95": lambda values: quantile(values, 0.95),
     "max": lambda values: np.max(values, axis=-1),
 }
-_RULE = re.compile(r"\s*([a-z0-9_]+?)\s*(\+|>)\s*([0-9.]+(?:e-?[0-9]+)?)\s*(%?)\s*\Z")
+_RULE = re.compile(r"\s*([a-z0-9_]+?)\s*(\+|>)\s*((?:\d+\.?\d*|\.\d+)(?:e-?\d+)?)\s*(%?)\s*\Z")
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,10 +132,7 @@ def parse_rule(text: str) -> Rule:
     if match is None:
         raise ScoreError(f"rule {text!r}: is not understood; {way_out}")
     name, sign, number, percent = match.groups()
-    try:
-        amount = float(number) / (100.0 if percent else 1.0)
-    except ValueError as error:
-        raise ScoreError(f"rule {text!r}: {number} is not a number; {way_out}") from error
+    amount = float(number) / (100.0 if percent else 1.0)
     kind: Literal["rise", "above"] = "rise" if sign == "+" else "above"
     if name == "lost":
         return Rule(text, "lost", "", kind, amount, bool(percent))
@@ -236,10 +234,32 @@ def _swap_test(both: Array, statistic: Callable[[Array], Array], observed: float
     return beyond / (_SWAPS + 1)
 
 
-def check(report: Mapping[str, Any], rules: Sequence[str], baseline: Mapping[str, Any] | None = None) -> list[Verdict]:
+def typical_of(results: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
+    """Return the baseline of a version that was scored repeatedly: of each run the median of its errors, and their MAD.
+
+    results : scores as JSON of the same runs; of its states a run gets the one in the middle, from good to bad
+    """
+    for other in results[1:]:
+        _require_alike(other, results[0])
+    every = [_by_pair(one) for one in results]
+    runs = []
+    for key in every[0]:
+        repeats = sorted((one[key] for one in every if key in one), key=lambda run: (not run["scored"], run["failed"]))
+        errors = {name: np.array([_error(run, name) for run in repeats], dtype=float) for name in _METRICS.values()}
+        metrics = {name: float(np.median(values)) for name, values in errors.items() if not np.isnan(values).any()}
+        known = {name: median for name, median in metrics.items() if isfinite(median)}
+        mad = {name: float(np.median(np.abs(errors[name] - median))) for name, median in known.items()}
+        runs.append({**repeats[len(repeats) // 2], "metrics": metrics, "mad": mad})
+    return {**results[0], "runs": runs}
+
+
+def check(
+    report: Mapping[str, Any], rules: Sequence[str], baseline: Mapping[str, Any] | Sequence[Mapping[str, Any]] = ()
+) -> list[Verdict]:
     """Return a verdict for each rule, and one on crashes if there are any that no rule allows.
 
-    report, baseline : scores as JSON (from `report.score.score_json` or `odomcorrupt score --json`)
+    report : scores as JSON (from `report.score.score_json` or `odomcorrupt score --json`)
+    baseline : that of an earlier version, or several of it, see `typical_of`
     rules : in the syntax of `parse_rule`
 
     Raises
@@ -251,9 +271,10 @@ def check(report: Mapping[str, Any], rules: Sequence[str], baseline: Mapping[str
     parsed = [parse_rule(text) for text in rules]
     own = _by_pair(report)
     pairs: list[_Pair] = []
-    if baseline is not None:
-        before = _by_pair(baseline)
-        _require_alike(report, baseline)
+    if baseline:
+        earlier = typical_of([baseline] if isinstance(baseline, Mapping) else baseline)
+        before = _by_pair(earlier)
+        _require_alike(report, earlier)
         pairs = [(before[key], own[key]) for key in own if key in before]
         if not pairs:
             raise ScoreError(
@@ -298,8 +319,11 @@ def _verdict(rule: Rule, runs: Mapping[Any, Mapping[str, Any]], pairs: Sequence[
     values = np.array([both[i] for i in known], dtype=float).reshape(-1, 2).T
     found = compare_paired(*values, rise=rule.amount, statistic=rule.statistic)
     sentence = f"{_outcome(rule, failed=found.rise)} {paired_sentence(found, rule.metric, rule.statistic, *values)}"
-    if len(known) < len(pairs):
-        sentence += f"; {len(pairs) - len(known)} pairs without {rule.metric} left out"
+    scatter = [old["mad"][rule.metric] for old, _ in pairs if rule.metric in old.get("mad", ())]
+    if any(scatter):
+        sentence += f"; repeats of the baseline differ by {quantity(rule.metric, float(np.median(scatter)))} (MAD)"
+    if without := len(pairs) - len(known):
+        sentence += f"; {without} pairs without {rule.metric} left out"
     if not found.rise and found.detectable > rule.amount:
         least = f"{100.0 * found.detectable:.0f} %"
         sentence += f"; with so few pairs that scatter so much only a rise of {least} is found reliably"

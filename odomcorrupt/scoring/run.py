@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -77,12 +76,12 @@ def find_estimate(directory: Path, run_file: Path, *, needs_topic: bool) -> Path
     """
     name = run_file.name.split(".")[0]
     own = run_file.resolve()
-    found = []
-    for path in sorted(directory.glob(f"{name}*")):
-        rest = path.name[len(name) :]
-        usable = path.is_dir() or path.suffix in (*_BAGS, *_TEXTS)
-        if usable and not re.match(r"[0-9]", rest) and path.resolve() != own:
-            found.append(path)
+    found = [
+        path
+        for path in sorted(directory.glob(f"{name}*"))
+        if (path.is_dir() or path.suffix in (*_BAGS, *_TEXTS)) and path.resolve() != own
+        if not path.name[len(name) :][:1].isdigit()
+    ]
     if len(found) > 1:
         names = ", ".join(path.name for path in found[:4])
         raise ScoreError(f"{directory}: {len(found)} files could be the estimate of {name} ({names}); keep one of them")
@@ -90,17 +89,13 @@ def find_estimate(directory: Path, run_file: Path, *, needs_topic: bool) -> Path
         return found[0]
     if needs_topic and own.exists() and own.suffix not in _TEXTS:
         return run_file
-    raise NoEstimateError(
-        f"no file {name}* with an estimate in {directory}; name another place with --outputs, or a "
-        "topic of the run with --estimate"
-    )
+    way_out = "name another place with --outputs, or a topic of the run with --estimate"
+    raise NoEstimateError(f"no file {name}* with an estimate in {directory}; {way_out}")
 
 
 def read_estimate(path: str | PathLike[str], address: str | None = None, *, role: Role = "estimate") -> Estimate:
     """Return an estimate from a text file, or from a topic or an edge of TF of a bag.
 
-    Parameters
-    ----------
     path : TUM or CSV file, or bag
     address : topic, or edge of TF as "/tf:map.base_link"; None for a text file
     role : "truth" also allows topics of positions without headings
@@ -174,12 +169,11 @@ def _covariances(path: Path, topic: str, ordered: Samples) -> Array | None:
 def read_first(paths: list[Path], address: str) -> Estimate:
     """Read a topic from the first of several bags that has it; TopicError of the last one if none has."""
     last: OdomCorruptError = TopicError(f"{address}: no bag to read it from; name one with --truth-bag")
-    for path in paths:
-        if path.exists() and path.suffix not in _TEXTS:
-            try:
-                return read_estimate(path, address, role="truth")
-            except OdomCorruptError as error:
-                last = error
+    for path in (path for path in paths if path.exists() and path.suffix not in _TEXTS):
+        try:
+            return read_estimate(path, address, role="truth")
+        except OdomCorruptError as error:
+            last = error
     raise last
 
 
@@ -349,18 +343,21 @@ def score(
         begun = read_beginning(directory)
         inputs.append({"batch": label, **{kind: begun[kind]["hash"] for kind in ("input", "model")}})
         frame = next(iter(records.values())).get("odom_frame", "")
-        source = _Truth(directory, truth, None if truth_bag is None else Path(truth_bag), frame)
+        shared = _shared_truth(directory, truth, truth_bag, frame)
         for number, record in records.items():
             name = f"{label}/run_{number:06d}" if label else f"run_{number:06d}"
-            blank = RunScore(name, int(record["seed"]), number, "missing", **_put_in(record))
-            one, reference = _scored(blank, directory / record["file"], beside, estimate, source, align, limits)
+            blank = RunScore(
+                name, int(record["seed"]), number, "missing", source=str(directory / record["file"]), **_put_in(record)
+            )
+            one, used = _scored(blank, directory / record["file"], beside, estimate, shared or truth, align, limits)
             found.append(one)
-            clean = clean or reference
-            truths |= {source.name} if source.name else set()
-            _require_one_frame(one, source.frame, align)
+            if used is not None:
+                clean = clean or used.trajectory
+                truths.add(used.source)
+                _require_one_frame(one, used.frame, align)
     if clean is None or not any(run.metrics for run in found):
-        first = found[0]
-        raise ScoreError(f"none of {len(found)} runs has an estimate that can be scored; {first.name}: {first.reason}")
+        why = f"{found[0].name}: {found[0].reason}"
+        raise ScoreError(f"none of {len(found)} runs has an estimate that can be scored; {why}")
     return ScoreReport(
         tuple(found), estimate or "text files", ", ".join(sorted(truths)), align, limits, tuple(inputs),
         distance_along(clean.xyt), clean.xyt[:, :2], tuple(_notes(found, truths, align)),
@@ -370,10 +367,11 @@ def score(
 def _require_one_frame(run: RunScore, true_frame: str, align: Alignment) -> None:
     """Refuse to subtract poses in two frames."""
     if align == "none" and run.frame and true_frame and run.frame.strip("/") != true_frame.strip("/"):
-        raise ScoreError(
-            f"{run.name}: the estimate is in frame {run.frame}, the truth in {true_frame}; name a truth in {run.frame} "
-            "with --truth, align them with --align rigid, or say --align same if both frames are one"
+        said = (
+            f"{run.name}: the estimate is in frame {run.frame}, the truth in {true_frame}; name a truth in {run.frame}"
         )
+        way_out = "with --truth, align them with --align rigid, or say --align same if both frames are one"
+        raise ScoreError(f"{said} {way_out}")
 
 
 def _batches(root: Path) -> list[tuple[str, Path, Path]]:
@@ -396,34 +394,16 @@ def _put_in(record: Mapping[str, Any]) -> dict[str, Any]:
     return {"drift": float(part), "drift_end_m": float(end), "events": events}
 
 
-class _Truth:
-    """Source of the truth of a batch's runs; read once if all share it."""
-
-    def __init__(self, directory: Path, topic: str | None, file: Path | None, odom_frame: str) -> None:
-        self._directory, self._topic, self._file = directory, topic, file
-        self._shared: Trajectory | None = None
-        self._odom_frame = odom_frame
-        self.name = ""
-        self.frame = ""
-
-    def of(self, run_file: Path, estimate_file: Path) -> Trajectory:
-        """Return the truth of a run."""
-        if self._shared is not None:
-            return self._shared
-        shared = True
-        if self._file is not None:
-            got = read_estimate(self._file, self._topic, role="truth")
-        elif self._topic is None:
-            got = read_estimate(self._directory / "clean.tum", None)
-        else:
-            original = Path(read_beginning(self._directory)["input"]["path"])
-            got = read_first([original, run_file, estimate_file], self._topic)
-            shared = got.source.startswith(str(original))
-        from_odometry = self._file is None and self._topic is None
-        self.name, self.frame = got.source, self._odom_frame if from_odometry else got.frame
-        if shared:
-            self._shared = got.trajectory
-        return got.trajectory
+def _shared_truth(directory: Path, topic: str | None, file: str | PathLike[str] | None, odom: str) -> Estimate | None:
+    """Return the truth of all runs of a batch; None if it is a topic that the input does not have."""
+    if file is not None:
+        return read_estimate(file, topic, role="truth")
+    if topic is None:
+        return replace(read_estimate(directory / "clean.tum"), frame=odom)
+    try:
+        return read_first([Path(read_beginning(directory)["input"]["path"])], topic)
+    except OdomCorruptError:
+        return None
 
 
 def _scored(
@@ -431,12 +411,11 @@ def _scored(
     run_file: Path,
     outputs: Path,
     estimate: str | None,
-    truth: _Truth,
+    truth: Estimate | str | None,
     align: Alignment,
     limits: Limits,
-) -> tuple[RunScore, Trajectory | None]:
-    """Return the score of one run, and its truth if that could be read."""
-    blank = replace(blank, source=str(run_file))
+) -> tuple[RunScore, Estimate | None]:
+    """Return the score of one run, and its truth if there is an estimate; a truth by its topic is in the run."""
     try:
         path = find_estimate(outputs, run_file, needs_topic=estimate is not None)
         got = read_estimate(path, estimate)
@@ -444,10 +423,11 @@ def _scored(
         return replace(blank, reason=str(error)), None
     except OdomCorruptError as error:
         return replace(blank, status="unreadable", reason=str(error)), None
-    reference = truth.of(run_file, path)
+    original = Path(read_beginning(run_file.parent)["input"]["path"])
+    reference = truth if isinstance(truth, Estimate) else read_first([original, run_file, path], truth or "")
     blank = replace(blank, source=got.source, frame=got.frame, notes=got.notes)
     try:
-        errors = path_errors(got.trajectory, reference, align=align, covariance=got.covariance)
+        errors = path_errors(got.trajectory, reference.trajectory, align=align, covariance=got.covariance)
     except ScoreError as error:
         return replace(blank, status="unreadable", reason=str(error)), reference
     return _judged(blank, errors, limits), reference
@@ -455,11 +435,9 @@ def _scored(
 
 def _judged(blank: RunScore, errors: PathErrors, limits: Limits) -> RunScore:
     failure = errors.failure(limits)
-    status: Status = "ok"
-    reason = ""
-    if failure is not None:
-        status = failure.kind
-        reason = f"more than {limits.lost_m:g} m off from {failure.t_s:.1f} s ({failure.distance_m:.1f} m) on"
+    status: Status = failure.kind if failure else "ok"
+    at = f"from {failure.t_s:.1f} s ({failure.distance_m:.1f} m) on" if failure else ""
+    reason = f"more than {limits.lost_m:g} m off {at}" if failure else ""
     if errors.coverage < limits.least_coverage:
         lost = f"; before that {reason}" if reason else ""
         status, reason = "partial", f"covers {100.0 * errors.coverage:.0f} % of the path{lost}"

@@ -66,11 +66,6 @@ def test_a_spread_begins_with_whether_it_is_the_predicted_one(runs, capsys):
     assert lines_of(capsys, ["spread", runs, "-v"])[1].split()[0] == "after"
 
 
-def test_all_effects_and_presets_are_named(capsys):
-    text = " ".join(lines_of(capsys, ["effects"]))
-    assert all(name in text for name in registry())
-
-
 def test_the_table_of_a_map_fits_a_hundred_columns(capsys):
     table = [line for line in lines_of(capsys, [*MAP, "-v"]) if " m  " in line and line[:2] == "  "]
     assert len(table) >= 3

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.scoring.errors import ScoreError
-from odomcorrupt.scoring.gate import _signed_rank, check, compare_paired, parse_rule
+from odomcorrupt.scoring.gate import _signed_rank, check, compare_paired, parse_rule, typical_of
 
 
 def pair(rng, rise, scatter=0.2, n=40):
@@ -133,6 +133,18 @@ def test_a_baseline_of_other_bags_or_options_is_refused():
     for other in ({"inputs": [{"batch": "", "input": "a", "model": "c"}]}, {"estimate": "/pose"}):
         with pytest.raises(ScoreError, match="in the baseline; "):
             check(result(values) | batch, ["ate_p90 +20%"], result(values) | batch | other)
+
+
+def test_repeated_baselines_are_the_median_of_each_run_and_their_scatter_is_said():
+    old, new = pair(np.random.default_rng(3), 0.0, n=20)
+    lost = [result(old * 1.1), result(old), result(old * 0.8, missing={0})]
+    typical = typical_of(lost)["runs"]
+    assert [run["metrics"]["ate_m"] for run in typical[1:]] == pytest.approx(old[1:])
+    assert (typical[0]["scored"], typical[0]["metrics"]["ate_m"]) == (True, pytest.approx(1.1 * old[0]))
+    assert [run["mad"]["ate_m"] for run in typical[1:]] == pytest.approx(0.1 * old[1:])
+    (verdict,) = check(result(new), ["ate_median +20%"], lost)
+    assert "; repeats of the baseline differ by 0." in verdict.sentence
+    assert check(result(1.6 * old), ["ate_median +20%"], lost)[0].failed
 
 
 def test_few_pairs_say_what_they_can_find():
