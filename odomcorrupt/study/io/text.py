@@ -223,16 +223,9 @@ def read_text(path: Path, place: str) -> Samples:
         raise RecordingError(f"{place}: {W_FIRST}")
     if not columns.tick_ns and tick != 10**9:
         notes.append(f"stamps read as {_UNITS[tick]}")
-    return Samples(
-        place=place,
-        name=path.name,
-        frame="",
-        stamps_ns=np.concatenate([part.stamps_ns for part in parts]),
-        xyz=np.concatenate([part.xyz for part in parts]),
-        yaw_rad=np.concatenate([part.yaw for part in parts]),
-        notes=tuple(f"{path.name}: {note}" for note in notes),
-        tick_ns=10**9 if columns.tick_ns else tick,
-    )
+    stamps_ns, xyz, yaw_rad = (np.concatenate(column) for column in zip(*parts, strict=True))
+    said, unit_ns = tuple(f"{path.name}: {note}" for note in notes), 10**9 if columns.tick_ns else tick
+    return Samples(place, path.name, "", stamps_ns, xyz, yaw_rad, notes=said, tick_ns=unit_ns)
 
 
 def _begin(lines: Iterator[Row], place: str) -> tuple[Columns, list[Row]]:
