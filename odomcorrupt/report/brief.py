@@ -208,13 +208,12 @@ def _clock_words(search: Learned) -> list[str]:
     said = []
     for one in {one.name: one for one in reversed([*clocks_found(search.clocks)])}.values():
         late, early = ("odometry", "truth") if one.value > 0.0 else ("truth", "odometry")
-        by = f"{float(f'{abs(one.value) * 1e3:.2g}'):g} ms"
         offset = one.name == "time_offset"
+        by = f"{float(f'{abs(one.value) * (1e3 if offset else 6e4):.2g}'):g} ms"
         runs = search.fit.problem.recordings
         where = f" in {runs[one.recording].name}" if len(runs) > 1 else ""
-        said.append(
-            (f"the {late} is stamped {by} later than the {early}" if offset else "the two clocks run apart") + where
-        )
+        apart = f"the two clocks run apart by {by} a minute"
+        said.append((f"the {late} is stamped {by} later than the {early}" if offset else apart) + where)
     return said
 
 

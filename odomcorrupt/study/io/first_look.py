@@ -461,14 +461,13 @@ def _by(matrix: Array | Sequence[float]) -> Callable[[Samples], Samples]:
 
 def _mirrored_headings(look: Look, i: int) -> Figures | None:
     """Find headings that turn the other way than the path; what contradicts the other trajectory is mirrored."""
-    own, turn = look.own[i], float(look.correlations[2, 2])
+    own = look.own[i]
     # how many times worse each path follows its headings than their negatives
-    doubts = [(1.0 - own.agreement[0]) / (1.001 - own.agreement[1]) if own.chords else 0.0 for own in look.own]
-    doubt, other = doubts[i], doubts[1 - i]
-    alone = own.agreement[1] > _FOLLOWS and (own.agreement[0] < _CLEAR or doubt > 4.0 > 4.0 * other)
+    doubts = [(1.0 - one.agreement[0]) / (1.001 - one.agreement[1]) for one in look.own]
+    alone = own.agreement[1] > _FOLLOWS and (own.agreement[0] < _CLEAR or doubts[i] > 4.0 > 4.0 * doubts[1 - i])
     if own.chords < _FEWEST or not alone or _turn_between(look.paths[i]) > _LOST:
         return None
-    axis = 1.0 if turn < 0.0 else -1.0
+    axis = 1.0 if look.correlations[2, 2] < 0.0 else -1.0
     undo = lambda path: replace(path, xyz=path.xyz * [1.0, axis, 1.0], yaw_rad=-axis * path.yaw_rad)  # noqa: E731
     return {"i": i, "undo": undo}
 
@@ -676,9 +675,8 @@ def _reversed(look: Look, turn: float) -> Figures | None:
 
 
 def _sideways(look: Look) -> Figures | None:
-    c = look.correlations
-    for i, corr in ((0, float(c[1, 0])), (1, float(c[0, 1]))):
-        x = look.windows[:2][i]
+    (here, there, _), c = look.windows, look.correlations
+    for i, corr, x in ((0, float(c[1, 0]), here), (1, float(c[0, 1]), there)):
         aside = np.std(x[:, 1]) > np.std(x[:, 0]) and look.paths[1].headed
         if aside and abs(corr) > max(_CLEAR, abs(c[0, 0]) + 1.0 - _CLEAR):
             turn = np.sign(corr) * np.pi / 2.0
@@ -834,9 +832,7 @@ def _turns_too_far(look: Look) -> Figures | None:
     """Find odometry that turns by about half a turn and more from one message to the next, unlike the truth."""
     path, (_, there, _), most = look.paths[0], look.windows, _turn_between(look.paths[0])
     usual = float(np.percentile(np.abs(there[:, 2]), 95.0)) * path.span_s / len(path) / look.window_s
-    if abs(look.correlations[2, 2]) > _CLEAR or most < _LOST or usual > _LOST / 10.0:
-        return None
-    return {"most": np.degrees(most), "usual": np.degrees(usual)}
+    return {"most": np.degrees(most), "usual": np.degrees(usual)} if most > _LOST > 10.0 * usual else None
 
 
 def _turns_otherwise(look: Look) -> Figures | None:
@@ -946,7 +942,7 @@ PATTERNS = (
             "these stretches are left out", _stands),
     Pattern("turns too far",
             "{who} turns by {most} deg and more between messages, {other} by {usual}: beyond 180 deg turns are lost",
-            "wheel separation much too small (centimetres or millimetres for metres); degrees for radians",
+            "wheel radius or separation in other units (centimetres, millimetres); degrees for radians",
             "give lengths in metres and angles in radians; " + _RECORD, "", _turns_too_far),
     Pattern("wheel gains", "{who} moves as with wheels that count {each} times their way (this explains {explained})",
             "{cause}", "{change}", "{then}", _wheel_gains),

@@ -309,7 +309,7 @@ def _between_clock_steps(source: Source, wheels: _Wheeled, truth: Samples) -> li
     for one in parts:
         before = len(found)
         for other in others:
-            name = f"{source.title} clock {len(found) + 1}" if len(parts) * len(others) > 1 else source.title
+            name = f"{source.title}, clock {len(found) + 1}" if len(parts) * len(others) > 1 else source.title
             try:
                 found += recordings_of(
                     name, one, other, wheels.track_m, source.truth_shift_s, lambda: _witnesses(source)

@@ -161,8 +161,7 @@ def filter_warnings(odometry: Samples, truth: Samples, feedback: Feedback) -> li
         signs.append(f"its frame is {odometry.frame}")
     if _FUSED.search(odometry.name.lower()):
         signs.append("its name")
-    variance = odometry.variance_m2
-    if len(variance) >= _MIN_STEPS and (shrinks := int(np.sum(variance[1:] < _SHRINKS * variance[:-1]))):
+    if len(own := odometry.variance_m2) >= _MIN_STEPS and (shrinks := int(np.sum(own[1:] < _SHRINKS * own[:-1]))):
         signs.append(f"its covariance shrinks {shrinks} times")
     jumps = _jumps_to_truth(odometry, truth)
     if jumps:

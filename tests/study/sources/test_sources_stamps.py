@@ -150,7 +150,7 @@ def test_what_lies_before_and_after_a_step_is_recorded_by_clocks_of_its_own(read
     rows[stepping] = replace(steady, stamps_ns=steady.stamps_ns + round(by_s * 1e9) * (np.arange(len(steady)) >= row))
     logs = {name: rows[name].stamps_ns if name != stepping else steady.stamps_ns + 1_000_000 for name in rows}
     before, after = read(rows["/odom"], rows["/truth"], odom={"log_ns": logs["/odom"]}, seen={"log_ns": logs["/truth"]})
-    assert (before.name, after.name) == ("run.mcap clock 1", "run.mcap clock 2")
+    assert (before.name, after.name) == ("run.mcap, clock 1", "run.mcap, clock 2")
     assert before.clock == after.clock == ""
     parts = [len(r.odometry if stepping == "/odom" else r.truth) for r in (before, after)]
     assert parts == [row, len(steady) - row]
