@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from math import cos, sin
 from pathlib import Path
 from types import SimpleNamespace as Names
@@ -37,8 +38,8 @@ def test_the_workflow_passes_and_fails_as_its_steps_run_in_a_shell(tmp_path):
     workflow = yaml.safe_load((DOCS / "how-to" / "drift.yml").read_text())
     assert set(workflow) == {"name", True, "permissions", "env", "jobs"}  # YAML 1.1 reads `on` as true
     (job,) = workflow["jobs"].values()
-    assert all(("uses" in step) != ("run" in step) for step in job["steps"])
-    assert set().union(*job["steps"]) <= {"name", "uses", "run", "with", "if"}
+    schema = ["check_jsonschema", "--builtin-schema", "vendor.github-workflows", DOCS / "how-to" / "drift.yml"]
+    assert find_spec(schema[0]) is None or not subprocess.run([sys.executable, "-m", *schema], check=False).returncode
     steps = [step["run"].replace("/ground_truth", "/odom") for step in job["steps"] if "run" in step]
     shutil.copy(OFFICE, tmp_path / "drive.mcap")
     (tmp_path / "robot.toml").write_text(NOISE)
@@ -52,8 +53,7 @@ def test_the_workflow_passes_and_fails_as_its_steps_run_in_a_shell(tmp_path):
         words = ["bash", "-e", "-o", "pipefail", "-c", step]  # as GitHub runs it
         return subprocess.run(words, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
 
-    install, batch, localise, gate = steps
-    assert install.startswith("pip install ")
+    _, batch, localise, gate = steps
     base = re.sub(r"--baseline .*", "--save last.json", gate, flags=re.DOTALL)
     for step in (batch, localise, base, batch, localise, gate):
         done = shell(step)
