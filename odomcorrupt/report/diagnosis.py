@@ -114,7 +114,7 @@ def drive_sentence(plan: Plan) -> str:
     length, width = plan.floor_m
     moving = f"up to {plan.fastest_mps:.1f} m/s on {length + 1.0:.0f} m x {width + 1.0:.0f} m"
     if plan.fastest_mps == 0.0:
-        moving = f"up to {degrees(plan.quickest_radps):.0f} deg/s"
+        moving = f"up to {degrees(abs(plan.omega_radps).max()):.0f} deg/s"
     return f"{plan.manoeuvre.sentence}, for {plan.duration_s / 60.0:.0f} minutes ({moving})"
 
 

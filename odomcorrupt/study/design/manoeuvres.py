@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from itertools import cycle
 from math import pi
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
@@ -81,15 +82,11 @@ def _bend(limits: Limits) -> Limits:
     return Limits(min(limits.v_mps, 1.2 * limits.omega_radps), min(limits.omega_radps, limits.v_mps / 0.8))
 
 
-def _stand(seconds: float) -> Iterator[Hold]:
-    yield Hold(0.0, 0.0, seconds)
-
-
 def _stands(limits: Limits) -> Iterator[Hold]:
     for side in cycle((1.0, -1.0)):
-        yield from _stand(30.0)
+        yield Hold(0.0, 0.0, 30.0)
         yield from straight(LINE_M, limits.v_mps)
-        yield from _stand(30.0)
+        yield Hold(0.0, 0.0, 30.0)
         yield from turn(side * pi, limits.omega_radps)
         yield from straight(LINE_M, limits.v_mps)
         yield from turn(side * pi, limits.omega_radps)
@@ -110,16 +107,16 @@ def _two_speeds(limits: Limits) -> Iterator[Hold]:
 def _there_and_back_at_two_speeds(limits: Limits) -> Iterator[Hold]:
     for part in cycle((_SLOW, 1.0, 1.0, 1.0)):
         yield from straight(LINE_M, part * limits.v_mps)
-        yield from _stand(2.0)
+        yield Hold(0.0, 0.0, 2.0)
         yield from straight(-LINE_M, part * limits.v_mps)
-        yield from _stand(2.0)
+        yield Hold(0.0, 0.0, 2.0)
 
 
 def _spins(limits: Limits) -> Iterator[Hold]:
     for part in cycle((1.0, 0.4)):
         yield from turn(2.0 * pi, part * limits.omega_radps)
         yield from turn(-2.0 * pi, part * limits.omega_radps)
-        yield from _stand(1.0)
+        yield Hold(0.0, 0.0, 1.0)
 
 
 def _squares(limits: Limits) -> Iterator[Hold]:
@@ -142,17 +139,12 @@ def _eight(v_mps: float, omega_radps: float, side: float) -> Iterator[Hold]:
         yield from _arc(-side * 3.0 * pi, v_mps, omega_radps)
 
 
-def _eights(limits: Limits) -> Iterator[Step]:
-    for side in cycle((1.0, -1.0)):
-        yield from _eight(*_bend(limits), side)
-        yield HOME
-
-
-def _eights_at_two_speeds(limits: Limits) -> Iterator[Step]:
+def _eights(limits: Limits, *, slow_too: bool = False) -> Iterator[Step]:
     v, omega = _bend(limits)
     for side in cycle((1.0, -1.0)):
         yield from _eight(v, omega, side)
-        yield from _pair(_SLOW * v, _SLOW * omega)
+        if slow_too:
+            yield from _pair(_SLOW * v, _SLOW * omega)
         yield HOME
 
 
@@ -186,10 +178,10 @@ def _everything(limits: Limits) -> Iterator[Step]:
         yield from turn(side * pi, omega)
         yield from straight(LINE_M, v)
         yield from straight(-0.5 * LINE_M, 0.5 * v)
-        yield from _stand(10.0)
+        yield Hold(0.0, 0.0, 10.0)
         yield from _arc(side * 2.0 * pi, _SLOW * bend.v_mps, _SLOW * bend.omega_radps)
         yield from _arc(side * 2.0 * pi, *bend)
-        yield from _stand(0.5)
+        yield Hold(0.0, 0.0, 0.5)
         yield from straight(0.4 * LINE_M, v, _HARD)
         yield from turn(side * 1.5 * pi, omega)
         yield HOME
@@ -215,7 +207,7 @@ MANOEUVRES: tuple[Manoeuvre, ...] = (
     Manoeuvre("spins", "turns on the spot, left and right, slowly and fast", _spins),
     Manoeuvre("squares", "squares with corners on the spot, to the left and to the right in turn", _squares),
     Manoeuvre("eights", "figures of eight", _eights),
-    Manoeuvre("eights_at_two_speeds", "figures of eight, slowly and fast", _eights_at_two_speeds),
+    Manoeuvre("eights_at_two_speeds", "figures of eight, slowly and fast", partial(_eights, slow_too=True)),
     Manoeuvre("turns_apart", "the same turn on the spot, in a tight bend and in a wide one, both ways", _turns_apart),
     Manoeuvre("hard", "short straights with hard starts and hard braking, and turns on the spot between them", _hard),
     Manoeuvre("star", "straights in eight headings, with turns on the spot between them", _star),

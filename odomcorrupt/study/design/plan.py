@@ -65,11 +65,6 @@ class Plan:
         """Largest speed, m/s."""
         return float(np.abs(self.v_mps).max())
 
-    @property
-    def quickest_radps(self) -> float:
-        """Largest turn rate, rad/s."""
-        return float(np.abs(self.omega_radps).max())
-
 
 def safe_limits(motions: Sequence[Motion]) -> Limits:
     """Return speed limits for a robot: its observed 98 % quantiles, clipped to a range that is harmless indoors."""

@@ -47,6 +47,8 @@ _WRONG, _SKIDS = 1.3, 1.9
 """Factors from which travel and turns are plainly wrong; skid steering turns up to 1.9 times less than its wheels."""
 _FEW_TURNS = 0.1
 """Usual turn in a window, rad, up to which turns are too few to compare."""
+_CLOSE, _CURVED_RADPM, _ARM_M = 0.15, 0.5, 0.03
+"""Relative difference of motions that agree, and of turns on straights or travel on the spot: per metre or radian."""
 _ALIKE = 0.06
 """Relative difference of two factors that are the same."""
 _LOST = 2.0
@@ -258,8 +260,9 @@ class Look:
 
     @cached_property
     def correlations(self) -> Array:
-        """Correlations (3, 3) through the origin of the odometry's v, vy, omega with the truth's."""
-        return _correlations(*self.windows[:2])
+        """Correlations (3, 3) through the origin of v, vy, omega of the two; on the spot of omega alone."""
+        (travel, turn), c = self.sizes, _correlations(*self.windows[:2])
+        return c if travel[:2].max() > _ARM_M * turn[:2].min() else c * np.diag((0.0, 0.0, 1.0))
 
     def ratio(self, axis: int, side: int = 0) -> Ratio:
         """Return the ratio of the truth's motion along an axis to the odometry's, where the odometry moves."""
@@ -273,12 +276,19 @@ class Look:
         travel, turn = (self.ratio(k) if self.correlations[k, k] > _CLEAR else Ratio() for k in (0, 2))
         return travel, turn
 
-    @property
-    def turns(self) -> list[float]:
-        """Usual turns of odometry and truth in windows in which one of them moves, rad."""
+    @cached_property
+    def sizes(self) -> tuple[Array, Array]:
+        """Usual travel (3,), m, and turn (3,), rad, in windows of the odometry, of the truth, and of the difference."""
         here, there, _ = self.windows
-        used = moving(here[:, 0]) | moving(there[:, 0])
-        return [float(np.sqrt(np.mean(x[used, 2] ** 2))) if used.any() else 0.0 for x in (here, there)]
+        every = np.square((here, there, there - here))
+        return np.sqrt(every[:, :, :2].sum(axis=2).mean(axis=1)), np.sqrt(every[:, :, 2].mean(axis=1))
+
+    @property
+    def agree(self) -> bool:
+        """Whether travel and turns agree in usual windows, beside what a lever arm or a slight curvature changes."""
+        travel, turn = self.sizes
+        close = turn[2] < _CLOSE * max(*turn[:2], _CURVED_RADPM * travel[:2].min())
+        return bool(close and travel[2] < _CLOSE * max(*travel[:2], _ARM_M * turn[:2].min()))
 
     @property
     def sideways(self) -> bool:
@@ -405,6 +415,8 @@ def first_look(look: Look) -> FirstLook:
     for pattern in PATTERNS:
         if pattern.name == "overflow":  # clocks are right from here on
             check_pair(*look.paths)
+        if pattern.name == "wheel gains" and look.agree:  # all others are of motions that differ
+            break
         for which in ((0,), (1,)) if pattern.alone else ((),):
             if (figures := pattern.find(look, *which)) is None:
                 continue
@@ -837,11 +849,9 @@ def _turns_too_far(look: Look) -> Figures | None:
 
 def _turns_otherwise(look: Look) -> Figures | None:
     """Find odometry whose travel is the truth's and whose turns are not."""
-    c = look.correlations
-    few = min(look.turns) < _FEW_TURNS or moving(look.windows[1][:, 0]).sum() < 5 * _FEWEST
-    if few or abs(c[2, 2]) > _UNCLEAR or look.scales[0].spread > 2.0 * _ALIKE:
-        return None
-    return {"corr": float(c[2, 2])}
+    corr = float(look.correlations[2, 2])
+    few = look.sizes[1][:2].min() < _FEW_TURNS or moving(look.windows[1][:, 0]).sum() < 5 * _FEWEST
+    return None if few or abs(corr) > _UNCLEAR or look.scales[0].spread > 2.0 * _ALIKE else {"corr": corr}
 
 
 def _truth_unit(look: Look) -> Figures | None:
@@ -859,7 +869,7 @@ def _ratios(look: Look, travel: bool, turn: bool, *, alike: bool = False) -> Fig
     same = v.sure and w.sure and abs(v.value / w.value - 1.0) < (_ALIKE if look.paths[1].headed else 4.0 * _ALIKE)
     wrong = v.beyond(_WRONG) or (same and w.beyond(_WRONG))
     turns = w.beyond(_WRONG, _WRONG if wrong else _SKIDS) or (same and wrong)
-    few = not w.sure and (max(look.turns) > _FEW_TURNS or v.spread > 2.0 * _ALIKE or look.sideways)
+    few = not w.sure and (look.sizes[1][:2].max() > _FEW_TURNS or v.spread > 2.0 * _ALIKE or look.sideways)
     if (wrong, turns) != (travel, turn) or same is not alike or few:
         return None
     gains = v.value if travel else 1.0, v.value if alike else w.value if turn else 1.0

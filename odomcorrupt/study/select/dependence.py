@@ -73,11 +73,6 @@ class Dependence:
         return self.term.expression(self.score.estimate.tolist())
 
     @property
-    def follows_acceleration(self) -> bool:
-        """Whether the regressor is an acceleration, as it is for errors of clocks and of effects that resemble them."""
-        return self.regressor.endswith("acceleration")
-
-    @property
     def name(self) -> str:
         """Name of its effect in a model."""
         return self.term.name

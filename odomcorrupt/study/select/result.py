@@ -137,11 +137,9 @@ class Learned:
 
     def why_left_out(self, one: Dependence) -> str:
         """Return why a dependence that the selection included is not in the model; "" for others."""
-        return self.left_out.get(one.name, "") if self._was_included(one) and one not in self.laws else ""
-
-    def _was_included(self, one: Dependence) -> bool:
-        """Return whether the selection included a dependence; included ones precede others of the same name."""
-        return one is next((other for other in self.unknown if other.name == one.name), None)
+        # included ones precede others of the same name
+        included = one is next((other for other in self.unknown if other.name == one.name), None)
+        return self.left_out.get(one.name, "") if included and one not in self.laws else ""
 
     @property
     def contradicted(self) -> tuple[Candidate, ...]:

@@ -436,7 +436,7 @@ class _Selection:
             errors=with_rounding(final.clock_errors.tolist(), free, recordings),
             margins_nats=(*clocks.margins_nats, *margins) if np.any(free) else (),
             ambiguous_nats=max([0.0, *(gains[i] + more for i, more in in_place)]),
-            left_nats=sum(one.nats for one in found if one.follows_acceleration),
+            left_nats=sum(one.nats for one in found if one.regressor.endswith("acceleration")),
         )
 
     def _ranked(
