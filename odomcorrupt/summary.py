@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import textwrap
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -105,18 +106,17 @@ def wrapped(text: str, width: int) -> str:
     lines: list[str] = []
     for line in text.splitlines():
         start = line[: len(line) - len(line.lstrip())]
-        is_row = "  " in line.strip()
-        lines += (
-            [line] if is_row else textwrap.wrap(line, width, subsequent_indent=start, break_on_hyphens=False) or [""]
-        )
+        prose = textwrap.wrap(line, width, subsequent_indent=start, break_on_hyphens=False)
+        lines += [line] if "  " in line.strip() else prose or [""]
     return "\n".join(lines)
 
 
 def _folded(tone: Tone, text: str, width: int) -> list[str]:
     if tone != "command":
         return textwrap.wrap(text, width) or [""]
-    parts = textwrap.wrap(text, width - 2, break_long_words=False, break_on_hyphens=False)
-    return [*(f"{part} \\" for part in parts[:-1]), parts[-1]]
+    quoted = re.sub(r"'[^']*'", lambda word: word[0].replace(" ", "\0"), text)
+    parts = textwrap.wrap(quoted, width - 2, break_long_words=False, break_on_hyphens=False)
+    return " \\\n".join(parts).replace("\0", " ").split("\n")
 
 
 _Block = tuple[Line, list[str]]

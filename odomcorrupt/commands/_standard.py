@@ -135,11 +135,12 @@ def standard_options(command: Callable[..., Any]) -> Callable[..., Any]:
 def typed_words(*without: str) -> list[str]:
     """Return the words typed after the command's name, for use in a suggested next command.
 
-    without : options to omit with their values, as in "--output", by their long spelling
+    without : options to omit with their values, by their long spelling; files that were written are always omitted
     """
     ctx = click.get_current_context()
-    left = {word: option for option in ctx.command.params if isinstance(option, click.Option)
-            for word in (*option.opts, *option.secondary_opts) if set(option.opts) & set(without)}  # fmt: skip
+    options = [option for option in ctx.command.params if isinstance(option.type, OutputFile)
+               or {*option.opts} & {*without, "--overwrite"}]  # fmt: skip
+    left = {word: option for option in options if isinstance(option, click.Option) for word in option.opts}
     kept, rest = [], list(ctx.meta.get(WORDS, ()))
     while rest:
         word = rest.pop(0)

@@ -58,7 +58,7 @@ def command(
         seed = draw_seed() if given["seed"] is None else given["seed"]
         save_picture(path, found.draw_beside(chosen.count, seed))
 
-    following = ["density", *typed_words("--output", "--overwrite"), "--plot", "density.png"]
+    following = ["density", *typed_words(), "--plot", "density.png"]
     if output is not None:
-        following = ["sample", *typed_words("--output", "--overwrite", "--at", "--reading")]
+        following = ["sample", *typed_words("--at", "--reading")]
     console.show(found.then("odomcorrupt", *following), files=written(output, draw))

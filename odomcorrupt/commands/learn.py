@@ -9,7 +9,7 @@ import click
 
 from odomcorrupt.commands._options import OUTPUT, PICTURE
 from odomcorrupt.commands._recordings import advice_files, advice_options, recording_options, split_arguments
-from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, written
+from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import FitError
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def command(
     evaluated_on = [*map(str, validate or paths), *reading.words]
     usable = not result.comparison.fails and result.result.reproduction.holds
     worse = output is not None and result.comparison.worse
-    following = _following(None if worse else output, [*map(str, paths), *reading.words], evaluated_on, usable=usable)
+    following = _following(None if worse else output, typed_words(), evaluated_on, usable=usable)
     result = result.then(*following)
     saved = written(None if worse else output, lambda path: result.model.save(path, overwrite=True))
     console.show(result, files={**saved, **advice_files(result, drive, report), **written(plot, result.plot)})

@@ -63,8 +63,7 @@ def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -
     with Stages(quiet=console.quiet) as stages:
         result = draw_maps(bag, model, method=method, watch=stages, **{name: given[name] for name in _ASKED})
     if method == "odometry" and maps is None:
-        words = typed_words("--output", "--overwrite")
-        result = result.then("odomcorrupt", "map", *words, "-o", "map.png")
+        result = result.then("odomcorrupt", "map", *typed_words("--output"), "-o", "map.png")
     if method == "laser" and maps is not None:
         result = result.then("odomcorrupt", "learn", bag, "--truth-file", maps.with_suffix(".tum"))
 

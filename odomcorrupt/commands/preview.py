@@ -46,9 +46,9 @@ def command(input_: str, plot: Path | None, *, console: Console, **given: Any) -
         asked = {"seed": given["seed"], "run": given["run"], "runs": given["runs"], "within": condition}
         result = preview(input_, model, **asked, watch=progress, **options)
     seed = () if given["seed"] is not None else ("--seed", str(result.seed))
-    following = ["odomcorrupt", "preview", *typed_words("--plot", "--overwrite"), *seed, "--plot", "fan.png"]
+    following = ["odomcorrupt", "preview", *typed_words(), *seed, "--plot", "fan.png"]
     if plot is not None:
-        following = ["odomcorrupt", *typed_words("--plot", "--overwrite", "--runs"), "noisy.mcap", *seed]
+        following = ["odomcorrupt", *typed_words("--runs"), "noisy.mcap", *seed]
     console.show(result.then(*following), files=written(plot, result.plot))
     return report_losses(result.losses)
 

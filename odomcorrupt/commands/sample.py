@@ -59,7 +59,7 @@ def command(bag: Path | None, output: Path | None, *, console: Console, **given:
     from odomcorrupt.api.motion import sample, sample_along
     from odomcorrupt.trajectories import read_drive
 
-    following = ["sample", *typed_words("--output", "--overwrite"), "-o", "banana.png" if bag is None else "cloud.png"]
+    following = ["sample", *typed_words(), "-o", "banana.png" if bag is None else "cloud.png"]
     drawn: Samples | Particles
     if bag is None:
         chosen = choose_move(given)
@@ -68,8 +68,7 @@ def command(bag: Path | None, output: Path | None, *, console: Console, **given:
             asked = {"count": chosen.count, "seed": given["seed"], "within": condition}
             drawn = sample(chosen.start_xyt, chosen.end_xyt, model=chosen.model, **asked)
         if output is not None:
-            left = ("--output", "--overwrite", "--every", "--odom-topic", "--max-unpacked")
-            following = ["density", *typed_words(*left)]
+            following = ["density", *typed_words("--every", "--odom-topic", "--max-unpacked")]
     else:
         taken = [name for name in ("example", "start", "end") if given[name] is not None]
         if taken:

@@ -1,5 +1,6 @@
 """Summaries fit: at most eight lines of the width, the verdict first, the command last and whole."""
 
+import shlex
 from itertools import product
 
 import pytest
@@ -30,11 +31,7 @@ def test_lines_of_less_weight_are_left_out_first_and_those_of_the_largest_never(
     ]  # fmt: skip
     shown = [row.split()[0] for row in Summary(tuple(lines)).text().splitlines()]
     assert shown == ["V", *["usual"] * 4, "rejected", "errors", "3"]
-    few = [
-        Line("V", "v"),
-        Line("errors", "e " * 60, weight=ALWAYS, short="e"),
-        *(Line("spare", "s", weight=SPARE),) * 9,
-    ]
+    few = [Line("V", "v"), Line("errors", "e " * 60, weight=ALWAYS, short="e"), *(Line("spare", "s", weight=SPARE),) * 9]
     assert Summary(tuple(few)).text().count("e e") == 30  # nothing but spare lines makes room
     tight = [Line("V", "v " * 100), few[1], Line("usual", "u"), command_line(["command"] * 20)]
     assert len(Summary(tuple(tight)).text().splitlines()) == MOST_LINES
@@ -43,10 +40,10 @@ def test_lines_of_less_weight_are_left_out_first_and_those_of_the_largest_never(
 
 
 def test_a_long_command_can_be_pasted():
-    words = ["odomcorrupt", "fit", *(f"/data/recordings/run_{i}.mcap" for i in range(6)), "--add", "wheelbase"]
-    text = Summary((Line("V", "v"), command_line(words))).text()
-    command = "\n".join(row[6:] for row in text.splitlines()[1:])
-    assert command.replace("\\\n", "").split() == words
+    words = ["odomcorrupt", "fit", *(f"/data/recordings/run_{i}.mcap" for i in range(6)), "--fail-if", "lost > 0"]
+    rows = Summary((Line("V", "v"), command_line(words))).text().splitlines()
+    command = "\n".join(row[6:] for row in rows[1:])
+    assert shlex.split(command.replace("\\\n", "")) == words
 
 
 def test_labels_are_aligned_and_html_is_escaped():

@@ -58,12 +58,7 @@ Role = Literal["odometry", "truth", "estimate"]
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
-POSES = (
-    ODOMETRY,
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped",
-    TRANSFORM,
-)
+POSES = (ODOMETRY, "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped", TRANSFORM)
 POSITIONS = ("geometry_msgs/msg/PointStamped", "sensor_msgs/msg/NavSatFix")
 """Message types with positions but no headings."""
 EDGES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", TRANSFORM)
@@ -92,7 +87,8 @@ def named(channels: Iterable[Channel], address: Address, place: str, role: Role)
     same = [c for c in all_channels if plain(c.topic) == plain(address.topic)]
     if not same:
         there = near(address.topic, (c.topic for c in all_channels if c.msgtype in (*POSES, *POSITIONS, *EDGES)))
-        raise TopicError(f"{place}: no topic {address.topic} ({there}). Name another with {FLAGS[role]}.")
+        instead = ", a file with --truth-bag" if role == "truth" else ""
+        raise TopicError(f"{place}: no topic {address.topic} ({there}). Name another with {FLAGS[role]}{instead}.")
     types = EDGES if address.frames else _types(role)
     good = [c for c in same if c.msgtype in types]
     if not good:

@@ -113,7 +113,7 @@ def test_a_wrong_topic_names_the_near_miss(refused):
     assert "no topic /ground_trth (" in line
     assert "did you mean /odom" not in line
     line = refused(None, None, "--truth", "/trut")
-    assert "no topic /trut (did you mean /truth? found /odom, /truth). Name another with --truth." in line
+    assert "/trut (did you mean /truth? found /odom, /truth). Name another with --truth, a file with" in line
 
 
 def test_nothing_but_nan(refused):
