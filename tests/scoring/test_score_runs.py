@@ -232,8 +232,8 @@ def test_the_first_word_is_the_gates_result_and_the_exit_code(batch, estimates, 
     (estimates / "run_000001.tum").unlink()
     passing, failing = ["--fail-if", "ate_median > 9"], ["--fail-if", "ate_median > 0"]
     for label, code, gate in (("SCORED", 0, []), ("PASSED", 0, passing), ("FAILED", 1, failing)):
-        assert run([*words, *gate]) == code
-        lines = capsys.readouterr().out.splitlines()
+        assert run([*words, *gate, "--markdown", str(estimates.parent / f"{label}.md")]) == code
+        lines = [line for line in capsys.readouterr().out.splitlines() if not line.startswith("wrote ")]
         assert lines[0].startswith(label)
         assert "1 of 10 runs failed (1 missing)" in lines[0]
         assert len(lines) <= {"SCORED": 8, "PASSED": 10, "FAILED": 20}[label]
