@@ -49,12 +49,6 @@ _GOES_ON = 0.5
 """Least turn in the second half of a rest relative to that in the first half; less is the decay of a lag."""
 
 
-def heading_source_of(recordings: Sequence[Recording]) -> str:
-    """Return the source of the odometry's heading, "wheels" or "gyro"; "" if unknown or different in recordings."""
-    sources = {recording.heading_source for recording in recordings}
-    return sources.pop() if len(sources) == 1 else ""
-
-
 def turns_at_rest(recording: Recording) -> bool:
     """Return whether the heading of the odometry goes on changing in at least half the time at which no wheel turns."""
     rests_s, going_on_s = _rests(recording)
@@ -178,9 +172,10 @@ class DriveType:
 
 def drive_type_of(recordings: Sequence[Recording]) -> DriveType:
     """Return the drive type of the robot: the one given in the first recording that has one, or guessed from all."""
+    sources = {recording.heading_source for recording in recordings}
     return replace(
         _stated_or_guessed(recordings),
-        heading_source=heading_source_of(recordings),
+        heading_source=sources.pop() if len(sources) == 1 else "",
         travel=sees_travel(recordings),
         antenna=mountings(recordings) == MOUNTING[:1],
     )

@@ -100,11 +100,6 @@ class Process:
     numbers: int = 2
 
     @property
-    def mean_reverting(self) -> bool:
-        """Whether the process is a mean-reverting bias."""
-        return self.tau is not None and self.unit is bias_of
-
-    @property
     def memory_s(self) -> float:
         """Time for which knots are placed, s: the correlation time, or one that resolves a random walk."""
         return _WALK_S if self.tau is None else self.tau

@@ -39,12 +39,9 @@ def block_of(problem: Problem) -> NDArray[np.int64]:
     intervals, run = problem.intervals, problem.run
     total = float(np.sum(intervals.end_s - intervals.start_s))
     length = total / int(np.clip(total / _LENGTH_S, _FEWEST, _MOST))
-    within = np.concatenate([_elapsed(intervals.end_s[run == r], length) for r in np.unique(run)])
+    end_s = [intervals.end_s[run == r] for r in np.unique(run)]
+    within = np.concatenate([((own_s - own_s[0]) / length).astype(np.int64) for own_s in end_s])
     return np.unique(np.stack((run, within)), axis=1, return_inverse=True)[1].ravel()
-
-
-def _elapsed(end_s: Array, length: float) -> NDArray[np.int64]:
-    return ((end_s - end_s[0]) / length).astype(np.int64)
 
 
 def between_blocks(block: NDArray[np.int64], pull: Array, r: Array) -> tuple[Array, Array]:

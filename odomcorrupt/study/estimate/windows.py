@@ -384,14 +384,6 @@ class Drift(NamedTuple):
         together = np.concatenate(self.squared)
         return float(np.sqrt(np.mean(together))) if len(together) else float("nan")
 
-    def nats_over(self, other: Drift) -> float:
-        """Return the log-likelihood gain (nats) over another model's drift: planar normal errors of free variance.
-
-        The phases share their data and count as one.
-        """
-        windows = np.mean([len(each) for each in self.squared])
-        return float(2.0 * windows * np.log(other.rmse / self.rmse)) if other.rmse > 0.0 < self.rmse else 0.0
-
     def worse_than(self, other: Drift, *, factor: float, plain: float, errors: float) -> bool:
         """Return whether the drift is larger than another model's on the same recordings, by more than chance.
 

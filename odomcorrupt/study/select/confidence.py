@@ -95,9 +95,10 @@ def held_out_limit(name: str, nats: float, learned: Learned) -> float:
 def support_of(step: Step, learned: Learned) -> Support:
     """Return the support, given the final model, for the effect that a step included."""
     name, gain = step.added or "", step.candidates[0].gain
+    pulled = any(recording.pulled_per_s > 0.0 for recording in learned.fit.problem.recordings)
     # causes that are no terms of the selection, and explain as much
     rivals = (
-        _may_be_filter(name, learned),
+        pulled and name not in (*RIVALS, *_DECAYING),  # pose updates of a filter imitate gains and biases of any kind
         _may_be_dead_band(name, learned),
         _may_be_of_wheels(name, learned),
         learned.may_be_losses(name),  # lost increments have the same mean error
@@ -142,12 +143,6 @@ def may_be_scale_of_truth(gain: DetectedRandomEffect, learned: Learned) -> bool:
 
 def _loses_slow_turns(learned: Learned) -> bool:
     return any(recording.yaw_dead_band_radps > 0.0 for recording in learned.fit.problem.recordings)
-
-
-def _may_be_filter(name: str, learned: Learned) -> bool:
-    """Return whether an effect may be of the pose updates of a filter, which imitate gains and biases of any kind."""
-    pulled = any(recording.pulled_per_s > 0.0 for recording in learned.fit.problem.recordings)
-    return pulled and name not in (*RIVALS, *_DECAYING)
 
 
 def _may_be_dead_band(name: str, learned: Learned) -> bool:

@@ -149,11 +149,6 @@ def penalty(term: Term, count: int, decisions: Decisions) -> float:
     the term was selected from, and the prior penalties of rare, commanded and gyro-heading causes.
     """
     unusual = decisions.unusual_nats if term.unusual else 0.0
-    rare = _rare_nats(term.name, decisions)
+    rare = decisions.rare_nats if term.name in registry() and term.name not in decisions.common else 0.0
     rare += decisions.commanded_nats if term.name in decisions.commanded else 0.0
     return 0.5 * term.charged * float(np.log(count)) + float(np.log(term.trials)) + unusual + rare
-
-
-def _rare_nats(name: str, decisions: Decisions) -> float:
-    """Return the prior penalty of a library effect relative to a common one, nats; 0 for any other term."""
-    return decisions.rare_nats if name in registry() and name not in decisions.common else 0.0

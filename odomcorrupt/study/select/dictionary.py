@@ -12,6 +12,7 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
+from scipy.optimize import brentq
 
 from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes, choices
@@ -49,8 +50,6 @@ _OF_GYRO = frozenset({"gyro_bias", "gyro_scale"})
 """Effects of a gyro: a robot that has one takes its heading from a gyro."""
 _SURELY = 3.0
 """Standard errors by which a coefficient is surely larger than a size."""
-_HALVINGS = 20
-"""Number of bisections of a parameter's range for a starting value."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +139,8 @@ class Dictionary:
         for climbed in kinds.values():
             for _, term in sorted(climbed, key=itemgetter(0), reverse=True)[:_OF_ITS_KIND]:
                 driven = term.where_driven(fit.problem.motions)
+                if driven.is_global(fit.problem.motions):
+                    continue
                 self.basis.setdefault(_key(driven), driven)
                 self._add(*(search.maximise(patch) for patch in _patch_of(driven, fit)))
 
@@ -236,14 +237,16 @@ def linearised(
         used.append(other)
     kept = [problem.columns(effect) for effect in fit.effects if effect not in present]
     if clocks.held.any():
-        kept.append(problem.clock_columns()[:, :, np.flatnonzero(_of_leaders(clocks.held, problem))])
+        leading = np.array(clock_leaders(problem.recordings)) == np.arange(len(clocks.held))
+        kept.append(problem.clock_columns()[:, :, (clocks.held & leading[:, None]).ravel()])
     white = whiten(np.concatenate(columns, axis=2))
     whole = np.einsum("ij,ij->j", white, white)
     if kept:
         basis = orthonormal(whiten(np.concatenate(kept, axis=2)))
         white -= basis @ (basis.T @ white)
         residual -= basis @ (basis.T @ residual)
-    fold = np.repeat(_fold_of(problem), 3)
+    # whole recordings if there are enough of them, else blocks
+    fold = np.repeat((problem.run if problem.run.max(initial=0) + 1 >= FOLDS else block_of(problem)) % FOLDS, 3)
     gram = np.stack([white[fold == k].T @ white[fold == k] for k in range(FOLDS)])
     score = np.stack([white[fold == k].T @ residual[fold == k] for k in range(FOLDS)])
     first = np.concatenate(([0], np.cumsum([part.shape[2] for part in columns]))).astype(np.int64)
@@ -267,18 +270,6 @@ def linearised(
         limited=np.array([isinstance(t, BasisTerm) for t in used]),
         most=dictionary.decisions.max_dependences,
     )
-
-
-def _fold_of(problem: Problem) -> NDArray[np.int64]:
-    """Return the fold (K,) of each interval: of its recording if there are enough of them, else of its block."""
-    whole = problem.run.max(initial=0) + 1 >= FOLDS
-    return np.asarray((problem.run if whole else block_of(problem)) % FOLDS, dtype=np.int64)
-
-
-def _of_leaders(held: NDArray[np.bool_], problem: Problem) -> NDArray[np.bool_]:
-    """Return flags (2 R,) of clock numbers, only those of leading clocks."""
-    leading = np.array(clock_leaders(problem.recordings)) == np.arange(len(held))
-    return (held & leading[:, None]).ravel()
 
 
 def _prior(term: Competing, fit: Fit, dictionary: Dictionary, unit: Array, alone: Array) -> tuple[Array, Array, Array]:
@@ -317,19 +308,18 @@ def started(fit: Fit, effect: Effect, estimate: Sequence[float]) -> Effect:
     """Return an effect at a first-order estimate, from which a fit can start.
 
     An estimate beyond a bound is that of an error that is not linear in the parameter: the value whose error is as
-    large is found by bisection.
+    large is found.
     """
     values = {}
     for p, estimated in zip(amplitudes(effect), estimate, strict=True):
         values[p.name] = p.identity + estimated
-        low, high = 0.0, (p.low if estimated < 0.0 else p.high) - p.identity
-        if abs(estimated) <= abs(high):
-            continue
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            below = _first_order(fit, effect, p, middle) < abs(estimated)
-            low, high = (middle, high) if below else (low, middle)
-        values[p.name] = p.identity + low
+        most = (p.low if estimated < 0.0 else p.high) - p.identity
+        if abs(estimated) > abs(most):
+
+            def over(change: float, p: Parameter = p, size: float = abs(estimated)) -> float:
+                return _first_order(fit, effect, p, change) - size
+
+            values[p.name] = p.identity + (brentq(over, 0.0, most, xtol=1e-6) if over(most) > 0.0 else most)
     return replace(effect, **values)  # type: ignore[type-var]  # effects are dataclasses
 
 

@@ -21,7 +21,6 @@ from odomcorrupt.study.io.clock import clock_leaders
 from odomcorrupt.study.select.score import project_out
 
 if TYPE_CHECKING:
-    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
 
 _CHANGING = ("wheel_scale", "unequal_wheels", "wheelbase", "gyro_bias")
@@ -72,7 +71,9 @@ def disagreements(fit: Fit, level: float) -> tuple[ParameterDifference, ...]:
     white = rest.of(without_noise.noise.whitener.whiten(each))
     covariance = np.linalg.pinv(white.T @ white, hermitian=True)
     estimate = covariance @ (white.T @ rest.residual)
-    error = np.sqrt(np.diag(covariance) * _inflation(fit, white @ covariance, rest.residual - white @ estimate))
+    left = rest.residual - white @ estimate
+    variance, dof = between_blocks(np.repeat(block_of(fit.problem), 3), white @ covariance, left)
+    error = np.sqrt(np.diag(covariance) * inflation(variance, dof, shared_variance(variance, dof)))
     found = []
     for number, effect in enumerate(tested):
         (p,) = amplitudes(effect)
@@ -96,9 +97,3 @@ def disagreements(fit: Fit, level: float) -> tuple[ParameterDifference, ...]:
             )
             found.append((square, one))
     return tuple(one for _, one in sorted(found, key=lambda pair: -pair[0]))
-
-
-def _inflation(fit: Fit, pull: Array, rest: Array) -> Array:
-    """Return the ratios (p,) of the variances estimated between blocks of the drive to those of the noise model."""
-    variance, dof = between_blocks(np.repeat(block_of(fit.problem), 3), pull, rest)
-    return inflation(variance, dof, shared_variance(variance, dof))

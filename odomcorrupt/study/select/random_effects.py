@@ -91,7 +91,7 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[DetectedRandomEf
         knots = unit_knots(fit.problem, process, FINELY) if process.tau is None else unit_knots(fit.problem, process)
         nats, scale = evidence.of(knots, process)
         effect = process.kind(**{process.scale: scale, **process.fixed})
-        least = decisions.mean_reverting_nats if process.mean_reverting else decisions.correlated_nats
+        least = decisions.correlated_nats if process.numbers == 2 else decisions.mean_reverting_nats
         if _matched(fit) and getattr(effect, "channel", "") == "along":
             least += decisions.map_nats
         one = DetectedRandomEffect(effect, nats - 0.5 * process.numbers * log_count)

@@ -78,10 +78,7 @@ def _spread(values: Array) -> Array:
 
 
 def _hats(value: Callable[[Motion], Array], knots: Array) -> Callable[[Motion], tuple[Array, Array]]:
-    def shape(motion: Motion) -> tuple[Array, Array]:
-        return _linear_hats(value(motion), knots), knots
-
-    return shape
+    return lambda motion: (_linear_hats(value(motion), knots), knots)
 
 
 def _linear_hats(values: Array, knots: Array) -> Array:

@@ -39,6 +39,8 @@ _STEP = 0.4
 """First step of a shape search, as a fraction of a parameter's typical size."""
 _LEAST_OPTIONAL = 0.1
 """Least value of an optional shape parameter in a search, as a fraction of its typical size."""
+_NEARLY = 0.97
+"""Squared correlation with a constant from which a function is one."""
 _SEVERAL_MAXIMA = 3
 """Number of shape parameters from which on (a place) a basis function is likely to have several maxima."""
 
@@ -205,6 +207,14 @@ class BasisTerm:
         theta = np.concatenate([m.theta for m in motions])
         moved = np.concatenate([np.abs(MOVES[self.action.move](m)) * m.dt_s for m in motions])
         return replace(self, function=self.function.within(theta, moved))
+
+    def is_global(self, motions: Sequence[Motion]) -> bool:
+        """Return whether the function is one constant nearly wherever the robot moved: the term of a global effect."""
+        if self.width > 1 or self.function.text == COEFFICIENTS[0]:
+            return False
+        value = np.concatenate([self.function.parts[0](m) for m in motions])
+        weight = np.concatenate([MOVES[self.action.move](m) ** 2 * m.dt_s for m in motions])
+        return bool((weight @ value) ** 2 > _NEARLY * weight.sum() * (weight @ value**2))
 
     def columns(self, problem: Problem) -> Array:
         """Return columns (K, 3, p), one for each coefficient."""

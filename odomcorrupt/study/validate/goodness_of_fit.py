@@ -106,7 +106,10 @@ def size_question(distance_m: float) -> str:
 def verdict_of(horizons: Sequence[Horizon], pits: Mapping[str, Pit], whiteness: Mapping[str, Whiteness]) -> Verdict:
     """Return the joint verdict of all tests."""
     # each length has its chance to deviate: only sizes beyond the chance of all of them together count
-    beyond = [h.nees for h in horizons if h.nees_p < REJECTION_LEVEL / len(horizons) and _is_seen(h)]
+    level = REJECTION_LEVEL / len(horizons)
+    apart = [abs(h.position_measured**2 - h.position_expected**2) for h in horizons]  # NaN if none were measured
+    seen = [h for h, m2 in zip(horizons, apart, strict=True) if not m2 < (PRACTICAL_PER_M * h.distance_m) ** 2]
+    beyond = [h.nees for h in seen if h.nees_p < level]
     misfit = float(np.sqrt(max(beyond, key=lambda nees: abs(np.log(max(nees, 1e-300)))))) if beyond else 1.0
     checks = [Check(size_question(h.distance_m), h.nees_p) for h in horizons]
     checks += [Check(f"distribution of {name} innovations (PIT)", pit.p) for name, pit in pits.items()]
@@ -114,12 +117,6 @@ def verdict_of(horizons: Sequence[Horizon], pits: Mapping[str, Pit], whiteness: 
         Check(f"autocorrelation of {name} innovations (Ljung-Box)", white.p) for name, white in whiteness.items()
     ]
     return Verdict(REJECTION_LEVEL, tuple(sorted(checks, key=lambda check: check.p)), misfit)
-
-
-def _is_seen(h: Horizon) -> bool:
-    """Return whether measured and predicted position errors differ by a relevant length, or none were measured."""
-    apart_m2 = abs(h.position_measured**2 - h.position_expected**2)
-    return not apart_m2 < (PRACTICAL_PER_M * h.distance_m) ** 2
 
 
 @dataclass(frozen=True, slots=True)

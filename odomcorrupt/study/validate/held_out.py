@@ -59,7 +59,7 @@ class HeldOut:
 
     nats, error : gain of held-out log likelihood from the part, and its standard error from blocks of the drive
     ten_second_error_m : without the part, and with it
-    drift_nats : gain of log likelihood of the errors over 10 s windows
+    drift_nats : gain of log likelihood of the errors over 10 s windows, planar and normal with free variances
     failure : reason why the part was dropped; "" if it was kept
     needed : whether the 10 s error is clearly larger without the part, or the likelihood significantly smaller
     doubtful : whether the 10 s error is larger with the part by 5 %, significant or not
@@ -262,6 +262,7 @@ def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequ
     gains = block_differences(whole, without, sized=not any(part.name in CORRELATED_NOISE for part in parts))
     nats = float(gains.sum())
     error = float(np.std(gains, ddof=1) * np.sqrt(len(gains))) if len(gains) > 1 else float("inf")
+    windows = float(np.mean([len(each) for each in with_it.squared]))  # phases share their data and count as one
     farther = with_it.worse_than(base, **_WORSE)
     unlikelier = len(gains) >= _MIN_BLOCKS and nats < -_SIGNIFICANT * error
     closer = base.worse_than(with_it, **_WORSE)
@@ -277,7 +278,7 @@ def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequ
         nats=nats,
         error=error,
         ten_second_error_m=(base.rmse, with_it.rmse),
-        drift_nats=with_it.nats_over(base),
+        drift_nats=2.0 * windows * np.log(base.rmse / with_it.rmse) if base.rmse > 0.0 < with_it.rmse else 0.0,
         failure=failure,
         needed=closer or nats > _SIGNIFICANT * error,
         doubtful=with_it.rmse > _DOUBTFUL * base.rmse,

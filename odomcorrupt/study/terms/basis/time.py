@@ -25,16 +25,20 @@ _ANYWHERE = ("body", "one", "both", "twist")  # targets of functions of time
 
 
 def functions_of_time(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
-    """Yield every function of time to be tried on these motions."""
-    yield from _settlings()
-    yield from _swings(motions)
-    yield from _spells(motions)
+    """Yield every function of time to be tried on these motions.
 
-
-def _settlings() -> Iterator[BasisFunction]:
-    """Yield exponential decays and rises, as of tyres, motors and sensors that warm up."""
+    Exponential decays and rises are those of tyres, motors and sensors that warm up; oscillations with periods of
+    minutes, of sun and shade or a shared load; errors between two moments, of a load that was carried for a while.
+    """
     for tau_s, rising in product(_SETTLE_S, (False, True)):
         yield _settling((float(np.log(tau_s)),), rising=rising)
+    longest_s = max(float(np.ptp(m.t_s)) for m in motions)
+    count = int(np.ceil(np.log(max(longest_s / _SHORTEST_SWING_S, 1.0)) / _SWING_STEP)) + 1
+    for i in range(count):
+        yield _swing((float(np.log(longest_s)) - i * _SWING_STEP,), count)
+    start_s = min(float(m.t_s[0]) for m in motions)
+    for part, i in product(_SPELL_PARTS, range(_SPELLS)):
+        yield _spell((start_s + (i + 0.5) / _SPELLS * longest_s, part * longest_s), 0.25 * longest_s / _SPELLS)
 
 
 def _settling(shape: tuple[float, ...], *, rising: bool) -> BasisFunction:
@@ -51,14 +55,6 @@ def _settling(shape: tuple[float, ...], *, rising: bool) -> BasisFunction:
     )
 
 
-def _swings(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
-    """Yield oscillations with periods of minutes, as of sun and shade or a shared load."""
-    longest_s = max(float(np.ptp(m.t_s)) for m in motions)
-    count = int(np.ceil(np.log(max(longest_s / _SHORTEST_SWING_S, 1.0)) / _SWING_STEP)) + 1
-    for i in range(count):
-        yield _swing((float(np.log(longest_s)) - i * _SWING_STEP,), count)
-
-
 def _swing(shape: tuple[float, ...], count: int) -> BasisFunction:
     pace = 2.0 * np.pi / float(np.exp(shape[0]))
     return BasisFunction(
@@ -71,13 +67,6 @@ def _swing(shape: tuple[float, ...], count: int) -> BasisFunction:
         steps=(0.5 * _SWING_STEP,),
         with_shape=lambda moved: _swing(moved, count),
     )
-
-
-def _spells(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
-    """Yield errors between two moments, as of a load that was carried or a tyre that was soft for a while."""
-    start_s, whole_s = min(float(m.t_s[0]) for m in motions), max(float(np.ptp(m.t_s)) for m in motions)
-    for part, i in product(_SPELL_PARTS, range(_SPELLS)):
-        yield _spell((start_s + (i + 0.5) / _SPELLS * whole_s, part * whole_s), 0.25 * whole_s / _SPELLS)
 
 
 def _spell(shape: tuple[float, ...], step_s: float) -> BasisFunction:
