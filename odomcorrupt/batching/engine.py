@@ -131,7 +131,9 @@ def _try(job: Job, runs: int, directory: Path, **changes: Any) -> _Trial:
 
 def need_of(jobs: Sequence[Job], runs: range, shard: Shard) -> Need:
     """Return the cost of a batch's missing runs."""
-    needs = [(count_missing(job, runs, shard), estimate(job)) for job in jobs]
+    made = [sum(run in runs and shard.has(run) for run in read_records(job.directory)) for job in jobs]
+    of_shard = len(runs[shard.number - 1 :: shard.count])
+    needs = [(of_shard - own, estimate(job)) for own, job in zip(made, jobs, strict=True)]
     size, overlay = sum(n * each.bytes for n, each in needs), sum(n * each.overlay_bytes for n, each in needs)
     seconds = sum((n * each.seconds for n, each in needs), 0.0)
     return Need(sum(n for n, _ in needs), size, seconds, overlay, free_bytes(jobs[0].directory))
@@ -188,12 +190,6 @@ class Shard:
 
 ALL = Shard()
 """All runs, of a batch on one machine."""
-
-
-def count_missing(job: Job, runs: range, shard: Shard) -> int:
-    """Return the number of runs of a shard that are not made yet, without building a list."""
-    made = sum(run in runs and shard.has(run) for run in read_records(job.directory))
-    return len(runs[shard.number - 1 :: shard.count]) - made
 
 
 def missing_runs(job: Job, runs: range, shard: Shard, *, verify: bool = False) -> list[int]:
@@ -260,7 +256,12 @@ def _run_in_pool(left: dict[int, Task], jobs: int, audience: Audience) -> None:
     news = context.Queue() if audience.shown else None
     with ProcessPoolExecutor(jobs, context, _prepare_worker, (news, imported_from)) as pool:
         try:  # a worker that cannot be started leaves others that wait
-            futures = {pool.submit(_attempt_numbered, number, task): number for number, task in left.items()}
+            # a worker that just starts has the handler of this process, whose exception the pool would print
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+            try:
+                futures = {pool.submit(_attempt_numbered, number, task): number for number, task in left.items()}
+            finally:
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
             waiting = set(futures)
             while waiting:
                 ready, waiting = wait(waiting, PAUSE_S if news is not None else None, FIRST_COMPLETED)
@@ -281,10 +282,8 @@ def _run_in_pool(left: dict[int, Task], jobs: int, audience: Audience) -> None:
 
 def _alone() -> bool:
     """Whether this process has no thread but one: its copy then is whole, and need not start Python again."""
-    try:
-        return len([*Path("/proc/self/task").iterdir()]) == 1
-    except OSError:  # no Linux
-        return False
+    tasks = Path("/proc/self/task")  # of Linux only
+    return tasks.is_dir() and len([*tasks.iterdir()]) == 1
 
 
 _news: Any = None
@@ -294,6 +293,7 @@ _news: Any = None
 def _prepare_worker(news: Any, folders: Mapping[str, str]) -> None:
     global _news  # noqa: PLW0603 - a worker's own, set once
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the pool would print an exception raised here
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
     _news = news
     for name, folder in folders.items():
         if name not in sys.modules:
@@ -304,7 +304,6 @@ def _prepare_worker(news: Any, folders: Mapping[str, str]) -> None:
     # an interrupt reaches all processes of a terminal: the parent passes it on, once
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    signal.signal(signal.SIGTERM, _terminated)
 
 
 def _terminated(number: int, _frame: object) -> None:
@@ -328,6 +327,7 @@ def _end_with_parent() -> None:
 def _attempt_numbered(number: int, task: Task) -> list[Failure]:
     """Run a task in a worker."""
     try:
+        signal.signal(signal.SIGTERM, _terminated)
         return attempt(task, None if _news is None else lambda part, past_s: _news.put((number, part, past_s)))
     except SystemExit as ended:  # the pool would send it to the batch as an answer
         os._exit(int(ended.code or 0))

@@ -136,7 +136,9 @@ def begin(job: Job, fingerprint: str) -> None:
     """
     now = _beginning(job, fingerprint)
     if not (job.directory / BEGINNING).exists():
-        if job.directory.exists() and any(not _left_of_a_beginning(file) for file in job.directory.iterdir()):
+        there = {file.name for file in job.directory.iterdir()} if job.directory.exists() else set[str]()
+        # beside what is left of a batch that was killed before it had started
+        if not all(name == PARTS or (name.startswith(".") and name.endswith(".partial")) for name in there):
             raise BatchError(f"{job.shown_directory}: holds files, but no batch; name another directory")
         # a second process finds the file of the first
         with suppress(BagError):
@@ -158,11 +160,6 @@ def _make_room(job: Job) -> None:
         (job.directory / PARTS).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BatchError(f"{job.directory / PARTS}: cannot be made a directory: {error.strerror}") from error
-
-
-def _left_of_a_beginning(path: Path) -> bool:
-    """Whether a file is a remnant of a batch that was killed before it had started."""
-    return path.name == PARTS or (path.name.startswith(".") and path.name.endswith(".partial"))
 
 
 @contextmanager

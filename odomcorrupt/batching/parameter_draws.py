@@ -110,11 +110,6 @@ def _name(model: MotionModel, spread: Spread) -> str:
     return spread.parameter if spread.effect is None else f"{model.effects[spread.effect].name}.{spread.parameter}"
 
 
-def _mean(model: MotionModel, spread: Spread) -> float:
-    owner = model.noise.coefficients if spread.effect is None else model.effects[spread.effect]
-    return float(getattr(owner, spread.parameter))
-
-
 def _drawn(
     model: MotionModel, spreads: Sequence[Spread], factor: Sequence[Sequence[float]], seed: int, run: int
 ) -> MotionModel:
@@ -124,7 +119,8 @@ def _drawn(
         stream(seed, run, f"robot {name}", 0 if spread.effect is None else spread.effect)
         for name, spread in zip(names, spreads, strict=True)
     ]
-    means = [_mean(model, spread) for spread in spreads]
+    owners = [model.noise.coefficients if spread.effect is None else model.effects[spread.effect] for spread in spreads]
+    means = [float(getattr(owner, spread.parameter)) for owner, spread in zip(owners, spreads, strict=True)]
     for _ in range(TRIES):
         normals = [float(rng.standard_normal()) for rng in streams]
         drawn = model
