@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from test_refusals import ROBOT as NOISE
+
 ROOT = Path(__file__).parents[1]
 OFFICE = str(ROOT / "fixtures" / "office.mcap")
 BARE = """
@@ -15,17 +17,7 @@ for library in ("scipy", "matplotlib", "pandas"):
 from odomcorrupt.cli import run
 sys.exit(run(sys.argv[1:]))
 """
-ROBOT = """schema = 1
-[noise]
-law = "diffusion"
-rot_rot = 0.05
-rot_trans = 0.02
-trans_trans = 0.05
-trans_rot = 0.01
-[[effect]]
-name = "wheelbase"
-e = 0.02
-"""
+ROBOT = NOISE + '[[effect]]\nname = "wheelbase"\ne = 0.02\n'
 
 
 def typed(words, folder):

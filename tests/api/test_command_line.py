@@ -8,6 +8,7 @@ import pytest
 import odomcorrupt as oc
 from odomcorrupt.cli import run
 from odomcorrupt.errors import OdomCorruptError
+from test_refusals import ROBOT
 
 OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
 NOISE = oc.Noise(alpha=(0.05, 0.02, 0.05, 0.01))
@@ -31,14 +32,7 @@ READS = {
 }
 
 
-MODEL_FILE = """schema = 1
-[noise]
-law = "diffusion"
-rot_rot = 0.05
-rot_trans = 0.02
-trans_trans = 0.05
-trans_rot = 0.01
-[robot]
+MODEL_FILE = f"""{ROBOT}[robot]
 track = 0.4
 [[effect]]
 name = "wheelbase"

@@ -17,6 +17,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.spatial.transform import Rotation
 
 import odomcorrupt
 from odomcorrupt.cli import run
@@ -87,42 +88,15 @@ def kinds(count: int) -> list[Kind]:
     return [Kind(i, *Kind.every[rows[i % len(rows)]]) for i in range(count)]
 
 
-def product(p, q):
-    (a, b, c, d), (e, f, g, h) = np.moveaxis(np.asarray(p), -1, 0), np.moveaxis(np.asarray(q), -1, 0)
-    return np.stack(
-        np.broadcast_arrays(
-            a * h + d * e + b * g - c * f, b * h + d * f + c * e - a * g, c * h + d * g + a * f - b * e,
-            d * h - a * e - b * f - c * g,
-        ),
-        axis=-1,
-    )  # fmt: skip
-
-
-def matrix(quat):
-    """Rotation matrices (n, 3, 3) of quaternions xyzw."""
-    x, y, z, w = np.asarray(quat).T
-    return np.moveaxis(
-        np.array([
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]), 2, 0,
-    )  # fmt: skip
-
-
 def rates(t_s, position, quat, axes):
     """Twists (n - 1, 6) between poses: the constant one, at the middle of each interval."""
-    conjugate = quat[:-1] * (-1, -1, -1, 1)
-    step = product(conjugate, quat[1:])
-    step *= np.sign(step[:, 3:] + 1e-300)
-    half = np.arctan2(np.linalg.norm(step[:, :3], axis=1), step[:, 3])
-    turn = step[:, :3] * (2.0 / np.sinc(half / np.pi))[:, None]
-    middle = product(quat[:-1], np.column_stack((np.sinc(half / 2 / np.pi)[:, None] * turn / 4, np.cos(half / 2))))
-    dt = np.diff(t_s)[:, None]
+    start, dt = Rotation.from_quat(quat[:-1]), np.diff(t_s)[:, None]
+    turn = (start.inv() * Rotation.from_quat(quat[1:])).as_rotvec()
+    middle = start * Rotation.from_rotvec(turn / 2)
     world = np.diff(position, axis=0) / dt
     if axes == "odom":
-        return np.hstack((world, np.einsum("nij,nj->ni", matrix(middle), turn / dt)))
-    return np.hstack((np.einsum("nji,nj->ni", matrix(middle), world), turn / dt))
+        return np.hstack((world, middle.apply(turn / dt)))
+    return np.hstack((middle.inv().apply(world), turn / dt))
 
 
 @dataclass
@@ -155,8 +129,7 @@ def drive(kind: Kind, start_rad: float) -> Drive:
     steps = np.column_stack((v * dt * np.cos(middle), v * dt * np.sin(middle), np.zeros(n)))
     steps[0] = rng.uniform(-5, 5, 3)
     position = np.cumsum(steps, axis=0)
-    flat = np.column_stack((np.zeros((n, 2)), np.sin(yaw / 2), np.cos(yaw / 2)))
-    quat = product(flat, np.array(ATTITUDES[kind.attitude]))
+    quat = (Rotation.from_euler("z", yaw[:, None]) * Rotation.from_quat(ATTITUDES[kind.attitude])).as_quat()
     t = 1_700_000_000 * 10**9 + np.round(np.arange(n) * dt * 1e9).astype(np.int64)
     stamps, logs, rows = t, t + 2_000_000, np.arange(n)
     measured = np.arange(n)
@@ -370,7 +343,7 @@ def inconsistencies(kind: Kind, before, after, start_rad: float):
 
     # C is a planar motion of the odom frame
     claim(np.array_equal(place[:, 2], place0[:, 2]), "heights stay")
-    up = [np.einsum("nij->nj", matrix(q)[:, 2:3]) for q in (quat0, quat)]
+    up = [Rotation.from_quat(q).as_matrix()[:, 2] for q in (quat0, quat)]
     claim(np.abs(up[0] - up[1]).max() < 1e-9, "tilts stay")
     claim(np.hypot(*(place - place0)[-1, :2]) > 1e-4, "there is noise")
 
@@ -414,8 +387,8 @@ def of_sensors(kind: Kind, after, space: str, start_rad: float) -> list[str]:
     d = drive(kind, start_rad)
     rows = np.flatnonzero(np.isin(d.t, d.stamps[d.measured])) if kind.repeats != "10 ms stamps" else np.arange(len(d.t))
     _, place, quat, *_ = numbers(at["odom"])
-    back = np.array(ATTITUDES[kind.attitude]) * (-1, -1, -1, 1)
-    noisy = np.column_stack((place[:, :2], 2.0 * np.arctan2(*product(quat, back)[:, 2:].T)))[d.measured]
+    level = Rotation.from_quat(quat) * Rotation.from_quat(ATTITUDES[kind.attitude]).inv()
+    noisy = np.column_stack((place[:, :2], level.as_rotvec()[:, 2]))[d.measured]
     drift_m = np.hypot(*(noisy - d.flat[rows])[:, :2].T).max()
     # stamps that are cut are of another time than the sensor's
     late = 8e-3 if kind.repeats == "10 ms stamps" else 1e-3

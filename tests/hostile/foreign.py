@@ -17,7 +17,7 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -168,10 +168,10 @@ def asked(reader: Reader, output: Output) -> str:
     return "; ".join(wrong)
 
 
-def played(output: Output) -> str:
-    """Play a bag to a real roscore; return what is wrong with what a subscriber hears, nothing where it hears all."""
+def heard(bag: Path, *listeners: list[str]) -> list[Any] | None:
+    """Play a bag to a real roscore; return what `readers/listener.py` says with each words, None without ROS."""
     if not all(shutil.which(name, path="/usr/bin") for name in ("roscore", "rosbag", "rosmaster")):
-        return "not installed"
+        return None
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
         port = one.getsockname()[1]
@@ -184,15 +184,22 @@ def played(output: Output) -> str:
         core = subprocess.Popen(["/usr/bin/rosmaster", "--core", "-p", str(port)], **quiet)  # type: ignore[call-overload]
         try:
             time.sleep(2)
-            listener = subprocess.Popen([DEBIAN, str(PROGRAMS / "listener.py")], stdout=subprocess.PIPE, env=env)
+            command = [DEBIAN, str(PROGRAMS / "listener.py")]
+            nodes = [subprocess.Popen([*command, *words], stdout=subprocess.PIPE, env=env) for words in listeners]
             time.sleep(2)
-            subprocess.run(["/usr/bin/rosbag", "play", "-q", "-d", "2", str(output.path)], check=True, **quiet)  # type: ignore[call-overload]
-            out, _ = listener.communicate(timeout=30)
+            subprocess.run(["/usr/bin/rosbag", "play", "-q", "-d", "2", str(bag)], check=True, **quiet)  # type: ignore[call-overload]
+            return [json.loads(node.communicate(timeout=30)[0]) for node in nodes]
         finally:
             core.terminate()
             core.wait()
-    heard, wanted = json.loads(out), expected(output)["counts"]["/odom"]  # type: ignore[index]
-    return "" if heard == wanted else f"{heard} of {wanted} odometry messages heard"
+
+
+def played(output: Output) -> str:
+    """Play a bag to a real roscore; return what is wrong with what a subscriber hears, nothing where it hears all."""
+    said, wanted = heard(output.path, []), expected(output)["counts"]["/odom"]  # type: ignore[index]
+    if said is None:
+        return "not installed"
+    return "" if said[0]["count"] == wanted else f"{said[0]['count']} of {wanted} odometry messages heard"
 
 
 def main() -> int:

@@ -1,8 +1,10 @@
 """Other people's readers see in our outputs what was written; `foreign.py` prints the whole table."""
 
 import foreign
+import numpy as np
 import pytest
-from foreign import READERS, Output, asked, missing, opens, ours
+from foreign import READERS, Output, asked, heard, missing, opens, ours
+from test_one_motion import Kind, drive, write
 
 
 @pytest.mark.slow
@@ -29,3 +31,19 @@ def test_a_reader_sees_what_was_written(source, name, kind, reader, bags, tmp_pa
     output = Output(source, tmp_path / name, kind)
     assert opens(one, output)
     assert asked(one, output) == ""
+
+
+@pytest.mark.slow
+def test_tf2_hears_the_odometry_of_each_robot_when_their_bag_is_played(tmp_path):
+    kind, names = Kind(1, "ros1", "two robots", "level", "none", "child"), ("robot1", "robot2")
+    write(kind, tmp_path / "in.bag")
+    ours(str(tmp_path / "in.bag"), str(tmp_path / "out.bag"), "--odom", "/robot1/odom", "--also", "/robot2/odom",
+         "--seed", "1", "--alpha", "0.1", "0.1", "0.1", "0.1")  # fmt: skip
+    said = heard(tmp_path / "out.bag", *(["--tf2", f"__ns:=/{name}", f"/tf:=/{name}/tf"] for name in names))
+    if said is None:
+        pytest.skip("no rosbag, rosmaster and tf2 of Debian")
+    assert [one["count"] for one in said] == [150, 150]
+    assert max(one["off"] for one in said) < 1e-9
+    errors = [one["end"] - drive(kind, start).position[-1, :2] for one, start in zip(said, (0.4, 2.0), strict=True)]
+    assert np.hypot(*np.transpose(errors)).min() > 0.01
+    assert np.abs(errors[0] - errors[1]).max() > 0.01
