@@ -9,9 +9,9 @@ COMMAND_LINE_ONLY = frozenset((
 _ARGUMENTS = {
     "--add": "effects", "--effect": "effects", "--end": "ends", "--exclude-topic": "exclude", "--input": "original",
     "--map": "within", "--overwrite": "overwrite=True", "--recover": "recover=True", "--robot-radius": "radius_m",
-    "--start": "start_xyt", "--sweep": "sweeps", "--to-step": "step", "--track": "track_m",
-    "--truth-shift": "truth_shift_s", "--max-unpacked ": "ODOMCORRUPT_MAX_UNPACKED=",
-    "with --tf odometry": "without new_odom_frame", "--tf correction": "new_odom_frame",
+    "--start": "start_xyt", "--sweep": "sweeps", "--to-step": "step", "--wheel-radius": "wheel_radius_m",
+    "--truth-shift": "truth_shift_s", "--max-unpacked ": "ODOMCORRUPT_MAX_UNPACKED=", "--track": "track_m",
+    "with --tf odometry": "without new_odom_frame", "--tf correction": "new_odom_frame", "--wheelbase": "wheelbase_m",
 }  # fmt: skip
 """Arguments in Python that are not called like the option."""
 _OPTION = re.compile(

@@ -262,7 +262,6 @@ def test_two_slopes_at_right_angles_make_every_slope():
 
 
 PAGE = (Path(__file__).parents[2] / "docs" / "effects.md").read_text(encoding="utf-8")
-HEAD = 'schema = 1\n[noise]\nlaw = "diffusion"\nrot_rot = 0\nrot_trans = 0\ntrans_trans = 0\ntrans_rot = 0\n'
 
 
 def block(language):
@@ -270,7 +269,7 @@ def block(language):
 
 
 def test_the_expression_is_read():
-    effect = parse_model(HEAD + block("toml")).effects[0]
+    effect = parse_model(block("toml")).effects[0]
     assert effect.name == "my_bumps"
     assert effect.acts
 

@@ -13,9 +13,9 @@ OFFICE = FIXTURES / "office.mcap"
 
 
 def call(*words, limit, most, stdin=subprocess.DEVNULL):
-    """Return exit code and stderr of a command under a resource limit."""
+    """Return exit code and stderr of a command under a resource limit, which would cut cached bytecode short."""
     done = subprocess.run(
-        [sys.executable, "-m", "odomcorrupt", *map(str, words)],
+        [sys.executable, "-B", "-m", "odomcorrupt", *map(str, words)],
         stdin=stdin, capture_output=True, text=True, check=False, timeout=40,
         preexec_fn=lambda: resource.setrlimit(limit, (most, most)),
     )  # fmt: skip
