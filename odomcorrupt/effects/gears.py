@@ -301,9 +301,9 @@ class FlatSpot(Effect):
         """Return no candidates: the spectrum over the travel shows the circumference, see `study.select.periodic`."""
         return ()
 
-    def whole(self) -> Self:
-        """Return the same spot including its mean loss: a flat side also makes the radius smaller."""
-        return replace(self, mean=1.0) if self.form == "flat" else self
+    def related(self) -> tuple[Self, ...]:
+        """Return a flat side including its mean loss: it also makes the radius smaller."""
+        return (replace(self, form="flat", mean=1.0),)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the speed that one wheel loses as it rolls over the spot."""

@@ -71,12 +71,12 @@ class Event:
     end_s: float
     along_m: float
     yaw_rad: float
-    slip: float
+    slip: float = 0.0
     turn_rad: float
-    lasting: bool
     across_m: float
     place_xy: tuple[float, float]
     plain: float
+    lasting: bool = True
 
 
 def events(fit: Fit) -> list[Event]:
@@ -132,9 +132,7 @@ def _left_out(fit: Fit) -> list[Event]:
             along_m=-step.apart[0],
             across_m=-step.apart[1],
             yaw_rad=-step.apart[2],
-            slip=0.0,
             turn_rad=turn_rad(recording, step),
-            lasting=True,
             place_xy=step.place_xy,
             plain=float(np.linalg.norm(step.apart / usual)),
         )
@@ -189,9 +187,7 @@ def _across_gaps(fit: Fit) -> list[Event]:
                 along_m=float(apart[i, 0]),
                 across_m=float(apart[i, 1]),
                 yaw_rad=float(apart[i, 2]),
-                slip=0.0,
                 turn_rad=float(said[i, 2]),
-                lasting=True,
                 place_xy=(float(truth_xyt[i, 0]), float(truth_xyt[i, 1])),
                 plain=float(plain[i]),
             )
@@ -235,6 +231,7 @@ def _described(fit: Fit, groups: Sequence[NDArray[np.int64]]) -> list[Event]:
     usual = usual_residual(fit)
     found = []
     for group in groups:
+        recording = problem.recordings[int(problem.run[group[0]])]
         step, heading = intervals.odometry_step[group], intervals.truth_xyt[group, 2] + intervals.truth_step[group, 2]
         # sum in the frame of the event's first interval, because the robot may turn
         residual = intervals.residual[group].copy()
@@ -242,14 +239,12 @@ def _described(fit: Fit, groups: Sequence[NDArray[np.int64]]) -> list[Event]:
         apart = np.linalg.norm(residual.sum(axis=0) / usual)
         found.append(
             Event(
-                recording=problem.recordings[int(problem.run[group[0]])].name,
+                recording=recording.name,
                 start_s=float(intervals.start_s[group[0]]),
                 end_s=float(intervals.end_s[group[-1]]),
                 along_m=float(residual[:, 0].sum()),
                 yaw_rad=float(residual[:, 2].sum()),
-                slip=_slip(
-                    residual.sum(axis=0), step.sum(axis=0), problem.recordings[int(problem.run[group[0]])].track_m
-                ),
+                slip=_slip(residual.sum(axis=0), step.sum(axis=0), recording.track_m),
                 turn_rad=float(step[:, 2].sum()),
                 across_m=float(residual[:, 1].sum()),
                 place_xy=(float(intervals.truth_xyt[group[0], 0]), float(intervals.truth_xyt[group[0], 1])),
@@ -332,12 +327,11 @@ def _usual(values: Array, weights: Array) -> float:
 def during(fit: Fit, stretches: Sequence[Event]) -> NDArray[np.bool_]:
     """Return a mask (K,) of the fit's intervals inside the given stretches."""
     intervals, run = fit.problem.intervals, fit.problem.run
-    inside = np.zeros(len(intervals), dtype=bool)
-    for r, recording in enumerate(fit.problem.recordings):
-        for event in stretches:
-            if event.recording == recording.name:
-                inside |= (run == r) & (intervals.start_s >= event.start_s) & (intervals.end_s <= event.end_s)
-    return inside
+    name = np.array([recording.name for recording in fit.problem.recordings])[run]
+    inside = [
+        (name == e.recording) & (intervals.start_s >= e.start_s) & (intervals.end_s <= e.end_s) for e in stretches
+    ]
+    return np.any([np.zeros(len(intervals), dtype=bool), *inside], axis=0)
 
 
 def _words(slips: Sequence[Event], track_m: float | None) -> dict[str, str]:
@@ -364,9 +358,7 @@ _RANGE, _SIZE = 120.0, 1 << 14
 
 def heavy_tails(fit: Fit) -> tuple[Effect, float] | None:
     """Return the heavy_tails effect and its log-likelihood gain over normal noise in nats, or None if not supported."""
-    if (
-        fit.problem.approach.spacing_s > INTERVAL_S
-    ):  # a truth with errors of centimetres jumps and drifts: it has heavy tails itself
+    if fit.problem.approach.spacing_s > INTERVAL_S:  # a truth with errors of centimetres has heavy tails itself
         return None
     odd_ones = odd_steps(fit)
     lasting = sum(event.lasting for event in odd_ones)

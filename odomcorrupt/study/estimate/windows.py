@@ -55,20 +55,13 @@ def time_windows(recording: Recording, length_s: float = WINDOW_S, phase: float 
     length_s : duration of a window
     phase : offset of the first window, as a fraction of a window's length
     """
-    ends = _time_ends(recording, length_s, phase)
-    return intervals_between(recording, ends.picked, ends.kept)
+    return intervals_between(recording, *_time_ends(recording, length_s, phase))
 
 
-class _Ends(NamedTuple):
-    """Indices of truth samples at which windows begin and end, and indices of the complete windows between them."""
+def _time_ends(recording: Recording, length_s: float, phase: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return indices of truth samples at which windows begin and end, and of the complete windows between them.
 
-    picked: NDArray[np.int64]
-    kept: NDArray[np.int64]
-
-
-def _time_ends(recording: Recording, length_s: float, phase: float) -> _Ends:
-    """Return windows one after another, restarted after each stretch without truth if a grid would lose most windows.
-
+    They follow one another, restarted after each stretch without truth if a grid would lose most of them.
     Each window with an end in such a stretch is lost, and with it the next. Restarted windows begin where the truth
     does, often at its least accurate poses, and hardly differ between phases.
     """
@@ -79,7 +72,7 @@ def _time_ends(recording: Recording, length_s: float, phase: float) -> _Ends:
     if 2 * np.count_nonzero(complete) < len(complete):
         usable = np.flatnonzero(known & (truth_s >= first_s) & (truth_s <= odo_s[-1]))
         picked = usable[_restarted(truth_s[usable], length_s)]
-    return _Ends(picked, np.flatnonzero(_complete(truth_s[picked], length_s)))
+    return picked, np.flatnonzero(_complete(truth_s[picked], length_s))
 
 
 def _complete(ends_s: Array, length_s: float) -> NDArray[np.bool_]:
@@ -141,16 +134,14 @@ def phased_misses(recordings: Sequence[Recording], length_s: float = WINDOW_S) -
 
 def phased_rmse(recordings: Sequence[Recording]) -> float:
     """Return the root mean square position error (m) of `phased_misses`; NaN if there is no complete window."""
-    squared = np.concatenate(phased_misses(recordings))
-    return float(np.sqrt(np.mean(squared))) if len(squared) else float("nan")
+    return Drift(tuple(phased_misses(recordings))).rmse
 
 
 def _squared_misses(recording: Recording, length_s: float, phase: float) -> Array:
     """Return squared position errors (n,) at the ends of `time_windows`, m^2; only the end poses are computed."""
-    ends = _time_ends(recording, length_s, phase)
-    at_s, truth_xyt = recording.truth_s[ends.picked], recording.truth.xyt[ends.picked]
-    odometry_xyt = recording.odometry.at(at_s, recording.origin_ns)
-    first, last = ends.kept, ends.kept + 1
+    picked, first = _time_ends(recording, length_s, phase)
+    truth_xyt, last = recording.truth.xyt[picked], first + 1
+    odometry_xyt = recording.odometry.at(recording.truth_s[picked], recording.origin_ns)
     went = between(odometry_xyt[first], odometry_xyt[last]) - between(truth_xyt[first], truth_xyt[last])
     return np.sum(went[:, :2] ** 2, axis=1)
 
@@ -444,5 +435,4 @@ def _turned(recording: Recording, fitted: Fit, number: int, turns: Array) -> Rec
 
 def ten_second_error(fitted: Fit) -> float:
     """Return the root mean square position error (m) after 10 s on the fitted recordings themselves."""
-    left = [with_recomputed_headings(recording) for recording in fitted.problem.left]
-    return Drift(tuple(phased_misses(left))).rmse
+    return phased_rmse([with_recomputed_headings(recording) for recording in fitted.problem.left])

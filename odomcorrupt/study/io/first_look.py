@@ -622,7 +622,9 @@ def _matrix(look: Look, axes: list[int]) -> tuple[Array, float]:
     own, real = (float(_correlations(x, x)[0, 2]) for x in (here, there))
     if len(axes) > 2:
         return matrix, explained
-    if abs(own) > 0.999 and abs(real) < 0.95:
+    if abs(own) > 0.999:
+        if abs(real) > 0.95:  # both on one circle: its two gains are not distinguishable
+            return matrix, 0.0
         # odometry that pivots about one wheel, whatever the truth's turns: that wheel counts nothing
         curvature, explained = float(np.copysign(np.linalg.norm(here[:, 2]) / np.linalg.norm(here[:, 0]), own)), own**2
         matrix = matrix[0, 0] * np.array(((1.0, 1.0 / curvature), (curvature, 1.0)))

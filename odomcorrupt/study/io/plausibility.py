@@ -105,7 +105,8 @@ def cross_correlation(
 
 
 def _spread(signals: Array) -> Spread:
-    there = signals[np.isfinite(signals).all(axis=1)]
+    seen = np.isfinite(signals).all(axis=1)
+    there = signals[seen] if seen.any() else np.zeros((1, 2))
     turn, speed = there.std(axis=0).tolist()
     return Spread(turn, speed, float(np.sqrt(np.mean(there[:, 1] ** 2))))
 

@@ -212,12 +212,14 @@ def _of_parts(
     part : what a part is called in names; said : a note on the truth
     """
     found: list[Recording] = []
+    left_out: list[str] = []
     for one in parts:
         try:
             found += recordings_of(source.title, wheels.odometry, one, wheels.track_m, source.truth_shift_s)
-        except RecordingError:
+        except RecordingError as error:
             if len(parts) == 1:
                 raise
+            left_out.append(str(error))
     if not found:
         raise RecordingError(f"{source.place}: {too_short}")
     runs = [replace(r, truth_scale_error=source.truth_scale_error) for r in found]
@@ -225,7 +227,8 @@ def _of_parts(
         runs = [replace(r, clock=r.clock or f"{source.title} from {r.origin_ns}") for r in runs]
     if len(parts) > 1:
         runs = [replace(r, name=f"{r.name}, {part} {i}") for i, r in enumerate(runs, start=1)]
-    return _with_heading_source(source, wheels, _noted(runs, said))
+    lost = [f"{len(left_out)} of {len(parts)} {part}s left out: {', '.join(sorted(set(left_out)))}"] if left_out else []
+    return _with_heading_source(source, wheels, _noted(runs, said, *lost))
 
 
 def _by_gyro(source: Source, imu: str) -> list[Recording]:

@@ -136,11 +136,8 @@ def _curve(fit: Fit, term: BasisTerm, inflation: float) -> tuple[Array, Array, A
     used = np.abs(hats * amount[:, None]).sum(axis=0) > _LEAST * np.abs(amount).sum()
     if used.sum() < 2:
         return None
-    columns = []
-    for hat in hats.T[used]:
-        errors = np.zeros((len(amount), 3))
-        errors[:, CHANNELS.index(term.action.channel)] = -hat * amount
-        columns.append(fit.problem.intervals.column(errors))
+    unit = np.eye(3)[CHANNELS.index(term.action.channel)]
+    columns = [fit.problem.intervals.column(np.outer(-hat * amount, unit)) for hat in hats.T[used]]
     rest = project_out(fit)
     white = rest.of(fit.noise.whitener.whiten(by_column(np.stack(columns))))
     covariance = np.linalg.pinv(white.T @ white, hermitian=True)

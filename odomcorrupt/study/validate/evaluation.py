@@ -52,10 +52,8 @@ def process_roots(random: Sequence[Effect], windows: Intervals, motion: Motion) 
         step_s = max(process.memory_s / _PER_TIME, span_s / _MOST_KNOTS)
         knots_s = motion.t_s[0] + np.arange(int(span_s / step_s) + 2) * step_s
         change = process.unit(motion) * motion.dt_s[:, None]
-        columns = []
-        for knot_s in knots_s:
-            weight = np.maximum(1.0 - np.abs(motion.t_s - knot_s) / step_s, 0.0)
-            columns.append(windows.column(change * weight[:, None]))
+        weights = np.maximum(1.0 - np.abs(motion.t_s - knots_s[:, None]) / step_s, 0.0)
+        columns = [windows.column(change * weight[:, None]) for weight in weights]
         scale = getattr(effect, process.scale)
         roots.append(np.stack(columns, axis=2) @ (scale * prior_root(process, np.diff(knots_s))))
     return np.concatenate(roots, axis=2) if roots else None
@@ -67,11 +65,8 @@ def random_covariance(random: Sequence[Effect], windows: Intervals, motion: Moti
     A gain g is a Markov process: Cov(g_i, g_j) is Var(g_i) times the product of the factors kept from i to j. With c_i
     the effect of step i at the window's end, the sum over all pairs therefore takes one backward pass.
     """
-    total = np.zeros((len(windows), 3, 3))
-    for effect in random:
-        for gain in effect.gains(motion):
-            total += _of_gain(gain, windows, motion)
-    return total
+    parts = [_of_gain(gain, windows, motion) for effect in random for gain in effect.gains(motion)]
+    return np.asarray(sum(parts, np.zeros((len(windows), 3, 3))))
 
 
 def _of_gain(gain: RandomCoefficient, windows: Intervals, motion: Motion) -> Array:

@@ -106,10 +106,9 @@ def size_question(distance_m: float) -> str:
 def verdict_of(horizons: Sequence[Horizon], pits: Mapping[str, Pit], whiteness: Mapping[str, Whiteness]) -> Verdict:
     """Return the joint verdict of all tests."""
     # each length has its chance to deviate: only sizes beyond the chance of all of them together count
-    level = REJECTION_LEVEL / len(horizons)
     apart = [abs(h.position_measured**2 - h.position_expected**2) for h in horizons]  # NaN if none were measured
     seen = [h for h, m2 in zip(horizons, apart, strict=True) if not m2 < (PRACTICAL_PER_M * h.distance_m) ** 2]
-    beyond = [h.nees for h in seen if h.nees_p < level]
+    beyond = [h.nees for h in seen if h.nees_p * len(horizons) < REJECTION_LEVEL]
     misfit = float(np.sqrt(max(beyond, key=lambda nees: abs(np.log(max(nees, 1e-300)))))) if beyond else 1.0
     checks = [Check(size_question(h.distance_m), h.nees_p) for h in horizons]
     checks += [Check(f"distribution of {name} innovations (PIT)", pit.p) for name, pit in pits.items()]

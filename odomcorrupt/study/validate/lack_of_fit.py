@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2, norm
@@ -30,8 +30,7 @@ MOVING = 0.02
 """Speed below which the robot counts as at rest, m/s."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IntervalMotion:
+class IntervalMotion(NamedTuple):
     """Motion over each of K intervals, (K,) each.
 
     t_s : time of its end since the recording's origin, seconds
@@ -57,32 +56,14 @@ def interval_motion(problem: Problem) -> IntervalMotion:
     """Return the motion over every interval, from the smoothed motion of the regressors."""
     intervals, motions = problem.intervals, problem.motions
     dt = np.concatenate([m.dt_s for m in motions])
-    columns = [dt] + [
-        np.concatenate(part) * dt
-        for part in (
-            [m.speed for m in motions],
-            [m.v for m in motions],
-            [m.omega for m in motions],
-            [m.a for m in motions],
-        )
-    ]
+    rates = [np.concatenate([getattr(m, name) for m in motions]) for name in ("speed", "v", "omega", "a")]
+    columns = [dt, *(rate * dt for rate in rates)]
     weighted = np.stack(columns, axis=1)[intervals.source] * intervals.share[:, None]
     seconds, metres, v, omega, a = np.add.reduceat(weighted, intervals.first, axis=0).T
     per = 1.0 / np.maximum(seconds, 1e-9)
     distance = np.concatenate([np.cumsum(metres[problem.run == r]) for r in np.unique(problem.run)])
     x, y, heading = intervals.truth_xyt.T
-    return IntervalMotion(
-        t_s=intervals.end_s,
-        metres=metres,
-        seconds=seconds,
-        v=v * per,
-        omega=omega * per,
-        a=a * per,
-        x=x,
-        y=y,
-        heading=heading,
-        distance=distance,
-    )
+    return IntervalMotion(intervals.end_s, metres, seconds, v * per, omega * per, a * per, x, y, heading, distance)
 
 
 def unit_columns(problem: Problem, *, per_second: bool = False) -> Array:
@@ -92,12 +73,7 @@ def unit_columns(problem: Problem, *, per_second: bool = False) -> Array:
     """
     parts = [m.dt_s if per_second else m.travel for m in problem.motions]
     weight = np.concatenate(parts)
-    columns = []
-    for c in range(3):
-        error = np.zeros((len(weight), 3))
-        error[:, c] = weight
-        columns.append(problem.intervals.column(error))
-    return np.stack(columns, axis=2)
+    return np.stack([problem.intervals.column(weight[:, None] * unit) for unit in np.eye(3)], axis=2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,12 +137,9 @@ class Pattern:
 def all_patterns(motion: IntervalMotion) -> list[Pattern]:
     """Return the parts of a drive that contain enough of it."""
     total = {"m": float(motion.metres.sum()), "s": float(motion.seconds.sum())}
-    kept = []
-    for pattern in (*_kinds_of_motion(motion), *_stretches(motion), *_discs(motion)):
-        share = pattern.amount / total[pattern.per]
-        if share >= _MIN_SHARE and (pattern.kind == "motion" or share <= _MAX_SHARE):
-            kept.append(pattern)
-    return kept
+    every = (*_kinds_of_motion(motion), *_stretches(motion), *_discs(motion))
+    most = {"motion": np.inf, "time": _MAX_SHARE, "place": _MAX_SHARE}
+    return [p for p in every if _MIN_SHARE <= p.amount / total[p.per] <= most[p.kind]]
 
 
 def _kinds_of_motion(m: IntervalMotion) -> Iterator[Pattern]:
