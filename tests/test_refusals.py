@@ -65,6 +65,18 @@ REFUSED = {
     "simulate out.mcap --duration nan": "nan; write seconds, 10 or more",
     "simulate out.mcap --size nan": "--size nan: give weak, medium, strong or a number of more than 0",
     "simulate out.mcap --size -1": "--size -1: give weak",
+    f"learn {OFFICE} --truth /odom": "--truth /odom is the odometry itself",
+    f"fit {OFFICE} --odom /odom --truth odom": "is the odometry itself",
+    f"learn {OFFICE} --track 42.3": "42.3 cm are 0.423",
+    f"{OFFICE} out.mcap --track 42.3": "42.3 cm are 0.423",
+    "export robot.toml": "give --to ros2_control, nav2, robot_localization or gazebo",
+    "presets ideal": "no preset is called 'ideal'; there are typical, turtlebot3-burger",
+    "nosuch": "nosuch: no such file, and no such command; name a command, or INPUT and OUTPUT",
+    OFFICE: "Missing argument 'OUTPUT'",
+    f"{OFFICE} a.bga": "a.bga: .bga is not a bag format (did you mean .bag?)",
+    "presest": "did you mean presets?",
+    "presets burger": "did you mean turtlebot3-burger?",
+    f"{OFFICE} out.mcap --preset husk": "did you mean husky?",
     "fit robot.toml": "no recording given; name a bag with odometry and truth",
 }
 PIPES = {

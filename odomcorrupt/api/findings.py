@@ -479,10 +479,8 @@ class Diagnosis(Findings):
         """Return the candidates, the findings, the gain of each addition, and undecided alternatives."""
         found = self.result
         said = texts.found_text(found.search, found.advice, evaluated=self._evaluated)
-        parts = [texts.candidates_table(found.search.rounds[0]), said]
-        if found.search.added:
-            parts.append(texts.shares_text(found.sequence.evaluations))
-        return "\n\n".join([*parts, *([f"next: {self.following}"] if self.following else [])])
+        shares = texts.shares_text(found.sequence.evaluations)
+        return "\n\n".join(filter(None, [texts.candidates_table(found.search.rounds[0]), said, shares]))
 
     def _figure(self) -> Figure:
         from odomcorrupt.report.plots.comparison import draw_candidates

@@ -13,7 +13,7 @@ from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.extras import require
 from odomcorrupt.report.plain import finite
 from odomcorrupt.result_files import refuse_existing, write_bytes
-from odomcorrupt.summary import command_line
+from odomcorrupt.summary import Line, command_line
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 class Result(ABC):
     """A result: `print` shows at most eight lines, the verdict first; `details()` is the full text.
 
-    following : suggested next command, which `print` shows last; "" for none
+    following : suggested next commands, a line each, which `print` shows last; "" for none
     """
 
     following: str = ""
@@ -53,17 +53,19 @@ class Result(ABC):
         return [self._values()]
 
     def then(self, *words: object) -> Self:
-        """Return this result with another suggested next command.
+        """Return this result with one more suggested next command.
 
         words : words of the command; none for no command
         """
-        return replace(self, following=shlex.join(map(str, words)))
+        return replace(self, following="\n".join(filter(None, (self.following, shlex.join(map(str, words))))))
 
     @property
     def brief(self) -> Summary:
         """The summary with the suggested next command."""
         summary = self.summary()
-        return summary._replace(lines=(*summary.lines, command_line(self.following)))
+        first, *others = self.following.split("\nodomcorrupt ")
+        more = (Line("", f"odomcorrupt {one}", "command") for one in others)
+        return summary._replace(lines=(*summary.lines, command_line(first), *more))
 
     def draw(self, picture: str) -> Figure:
         """Return a figure of this result.

@@ -133,7 +133,11 @@ def choose_model(given: Mapping[str, Any]) -> Model:
     """
     from odomcorrupt.api.model import Model
 
-    brings = _command_line_first({name: given.get(name) for name in ("alpha", "preset", "model")})
+    context = click.get_current_context(silent=True)
+    names = ("alpha", "preset", "model")
+    # those typed, in preference to defaults from a file
+    typed = [n for n in names if context and context.get_parameter_source(n) is ParameterSource.COMMANDLINE]
+    brings = {name: given.get(name) for name in typed or names}
     alpha, law, track, model = brings.get("alpha"), given.get("law"), given.get("track"), brings.get("model")
     noisy = [f"--{name}" for name, value in brings.items() if value]
     if len(noisy) > 1 and noisy != ["--alpha", "--model"]:
@@ -174,13 +178,6 @@ def _hint_at_percent(effects: Iterable[str]) -> None:
             if not p.unit and abs(value) > max(0.5, 20.0 * p.typical):
                 usual = f"robots have about {100.0 * p.typical:g} %; write {p.name}={value:g}% for {value:g} %"
                 click.echo(f"{effect.name}: {p.name}={value:g} is {100.0 * value:g} %; {usual}", err=True)
-
-
-def _command_line_first(brings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the options that define noise: those typed, in preference to defaults from a file."""
-    context = click.get_current_context(silent=True)
-    typed = [n for n in brings if context and context.get_parameter_source(n) is ParameterSource.COMMANDLINE]
-    return {name: brings[name] for name in typed or brings}
 
 
 def _with_alpha(model: Model, alpha: str, law: str | None) -> Model:
@@ -303,7 +300,11 @@ def choose_condition(
 
     name = given["map_"]
     if name is None:
-        _refuse_alone(given)
+        context = click.get_current_context()
+        for option in context.command.params:
+            of_map = option.name in ("map_pose", "radius", "check", "unknown", "tries") and option.name in given
+            if of_map and context.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE:
+                raise click.UsageError(f"{option.opts[0]}: needs a map; name it with --map")
         return None
     if bag is None and not is_map_file(name):
         raise click.UsageError(f"--map {name}: without a bag a map is a .yaml file")
@@ -325,8 +326,7 @@ def choose_condition_of_run(
     """
     name = given["map_"]
     if name is None:
-        _refuse_alone(given)
-        return None
+        return choose_condition(given, source, "")
     from odomcorrupt.mapping.conditioned import is_map_file, read_odom_frame
 
     if options.keep_localisation:
@@ -343,12 +343,3 @@ def choose_condition_of_run(
     if source is not None and given["map_pose"] is None:
         frame = read_odom_frame(source, options, model.odometry_topic, recover=given["recover"])
     return choose_condition(given, source, frame, recover=given["recover"])
-
-
-def _refuse_alone(given: Mapping[str, Any]) -> None:
-    """Refuse options about a map if none is named."""
-    context = click.get_current_context()
-    for option in context.command.params:
-        of_map = option.name in ("map_pose", "radius", "check", "unknown", "tries") and option.name in given
-        if of_map and context.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE:
-            raise click.UsageError(f"{option.opts[0]}: needs a map; name it with --map")

@@ -36,8 +36,7 @@ def command(
     with reading.stages(console) as stages:
         runs, _ = reading.read(paths, console, stages, track=model.motion_model.track_m if model else None)
         result = diagnose(runs, names[0] if names else None, watch=stages)
-    words = [*map(str, paths), *reading.words]
-    result = result.then(*_following(result, words, names))
+    result = result.then(*_following(result, [*map(str, paths), *reading.words], names))
     console.show(result, files=advice_files(result, drive, report))
 
 

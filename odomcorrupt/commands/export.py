@@ -57,11 +57,14 @@ def command(model: Path, *, target: Target | None, output: Path | None, console:
     Wheel multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
     """
     from odomcorrupt.api.export import export_parameters
-    from odomcorrupt.api.model import Model
+    from odomcorrupt.api.model import as_model
+    from odomcorrupt.drive_types import STEERED
 
     if target is None:
         raise click.UsageError("--to: says which program; give --to ros2_control, nav2, robot_localization or gazebo")
-    robot = Model.load(model)
+    robot = as_model(str(model))
+    if robot.motion_model.setup.drive_type in STEERED and target in ("ros2_control", "gazebo"):
+        console.note("the model is of a steered robot, and this is a differential drive: take the wheels' radius alone")
     with usage_errors(ModelError):
         result = export_parameters(robot, target, **given)
     if target == "nav2" and not result.result.values["alpha1"]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from odomcorrupt.commands._model import completing
-from odomcorrupt.commands._options import FILE, OUTPUT
+from odomcorrupt.commands._options import FILE, OUTPUT, Number
 from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 
@@ -78,10 +78,8 @@ def command(
     following = ["fit", *typed_words(), "-o", "robot.toml"]
     if output is not None:
         following = ["compare", *map(str, paths), *reading.words, str(output)]
-    console.show(
-        result.then("odomcorrupt", *following),
-        files=written(output, lambda path: result.model.save(path, overwrite=True)),
-    )
+    files = written(output, lambda path: result.model.save(path, overwrite=True))
+    console.show(result.then("odomcorrupt", *following), files=files)
 
 
 def _square_test(
@@ -111,11 +109,9 @@ def _square_test(
 
 def _end(text: str) -> tuple[float, float, float]:
     """Return the pose given as x,y,yaw, the yaw in degrees."""
-    parts = text.split(",")
+    number = Number("x,y,yaw in metres and degrees")
     try:
-        x, y, yaw = (float(part) for part in parts)
-    except ValueError:
-        raise click.UsageError(f"--end {text}: write x,y,yaw in metres and degrees") from None
-    if not all(math.isfinite(value) for value in (x, y, yaw)):
-        raise click.UsageError(f"--end {text}: write finite numbers")
+        x, y, yaw = (number.convert(part, None, None) for part in text.split(","))
+    except (ValueError, click.UsageError):
+        raise click.UsageError(f"--end {text}: write x,y,yaw in metres and degrees, finite numbers") from None
     return x, y, math.radians(yaw)

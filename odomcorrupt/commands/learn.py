@@ -13,9 +13,8 @@ from odomcorrupt.commands._standard import Console, overwrite_option, standard_o
 from odomcorrupt.errors import FitError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from odomcorrupt.commands._recordings import Reading
+    from odomcorrupt.model.motion_model import MotionModel
 
 
 @click.command("learn", short_help="Fit, diagnose and add effects until none is missing.")
@@ -57,24 +56,31 @@ def command(
     with reading.stages(console) as stages:
         runs, held_out = reading.read(paths, console, stages, held_out=validate)
         result = learn(runs, validate=held_out or (), watch=stages)
-    evaluated_on = [*map(str, validate or paths), *reading.words]
-    usable = not result.comparison.fails and result.result.reproduction.holds
-    worse = output is not None and result.comparison.worse
-    following = _following(None if worse else output, typed_words(), evaluated_on, usable=usable)
-    result = result.then(*following)
-    saved = written(None if worse else output, lambda path: result.model.save(path, overwrite=True))
+    model = None if result.comparison.worse else output
+    if model is None:
+        following = ["learn", *typed_words(), "-o", "robot.toml"]
+    elif result.comparison.fails or not result.result.reproduction.holds:
+        following = ["compare", *map(str, validate or paths), *reading.words, str(model), "-v"]
+    else:
+        result = result.then(*_remedy(result.model.motion_model, model, paths[0]))
+        following = ["sim.bag", "noisy.bag", "--model", str(model)]
+    result = result.then("odomcorrupt", *following)
+    saved = written(model, lambda path: result.model.save(path, overwrite=True))
     console.show(result, files={**saved, **advice_files(result, drive, report), **written(plot, result.plot)})
-    if worse:
+    if output is not None and model is None:
         raise FitError(
             f"{output}: not written: held-out data are predicted worse with this model than without effects; the "
             "report says what was tried; add recordings, or name the effects (`fit --add`)"
         )
 
 
-def _following(model: Path | None, words: Sequence[str], evaluated_on: Sequence[str], *, usable: bool) -> list[str]:
-    """Return the next command: evaluate the model, corrupt with it, or write one first."""
-    if model is None:
-        return ["odomcorrupt", "learn", *words, "-o", "robot.toml"]
-    if not usable:
-        return ["odomcorrupt", "compare", *evaluated_on, str(model), "-v"]
-    return ["odomcorrupt", "sim.bag", "noisy.bag", "--model", str(model)]
+def _remedy(robot: MotionModel, model: Path, recording: Path) -> list[object]:
+    """Return the command that takes what was found out of the robot's odometry: its wheels, or else of a recording."""
+    from odomcorrupt.export import WHEEL_EFFECTS
+
+    wheels = {effect.name for effect in robot.effects} & WHEEL_EFFECTS
+    if wheels and (robot.track_m is not None or "unequal_wheels" not in wheels):
+        return ["odomcorrupt", "export", model, "--to", "ros2_control"]
+    if any(effect.kind != "noise" for effect in robot.effects) and not robot.placed:
+        return ["odomcorrupt", "correct", recording, f"corrected{recording.suffix}", "--model", model]
+    return []

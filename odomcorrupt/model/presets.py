@@ -150,10 +150,10 @@ PRESETS: Mapping[str, Preset] = {
 
 def preset_named(name: str) -> Preset:
     """Return the preset with a given name; a ModelError lists the available names."""
-    try:
-        return PRESETS[name]
-    except KeyError:
-        raise ModelError(f"no preset is called {name!r}; there are {', '.join(PRESETS)}") from None
+    if name not in PRESETS:
+        near = [f"did you mean {one}? " for one in PRESETS if name.lower() in one]
+        raise ModelError(f"no preset is called {name!r}; {''.join(near[:1])}there are {', '.join(PRESETS)}")
+    return PRESETS[name]
 
 
 def suggested(names: Iterable[str]) -> str:

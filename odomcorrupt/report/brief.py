@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.export import WHEEL_EFFECTS, wheel_multipliers
 from odomcorrupt.report.comparison import HELD, TONES, measures_words, reproduction_sentence, size
 from odomcorrupt.report.diagnosis import alternative, contradiction, inseparable_sentence
 from odomcorrupt.report.findings import (
@@ -32,7 +33,7 @@ from odomcorrupt.study.validate.compare import agreement_of
 from odomcorrupt.summary import ALWAYS, FIRST, FOUND, SPARE, USUAL, Line, Summary, Tone
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model.motion_model import MotionModel
@@ -114,9 +115,8 @@ def findings_brief(
     elif verdict == "COMPLETE" and last.verdict.fails:
         verdict, tone = "PROBABLY", "warning"
     lines = [Line(verdict, first, tone), *lines[named:]]
-    if len(comparison.evaluations) == 1:
-        lines[1:1] = _clock_error_lines(comparison)
     lines[at:at] = [
+        *_change_lines(search, fit, written),
         *(Line("data", alert, "warning", FIRST) for alert in alerts),
         *_drift_lines(search, reproduction),
         *_rejected_lines(last),
@@ -138,23 +138,42 @@ def findings_brief(
     return Summary(tuple(lines))
 
 
-def _error_lines(comparison: Comparison) -> list[Line]:
-    """Return the errors without and with the findings by all measures, if several models were evaluated."""
-    if len(comparison.evaluations) == 1:
+def _change_lines(search: Learned, fit: Fit, written: MotionModel | None) -> list[Line]:
+    """Return what to set in the robot's odometry, if sizes of wheels or their distance were found to be wrong."""
+    sure = {one.effect.name for one in effects_found(search, fit) if one.confidence >= EVEN_ODDS and not one.negligible}
+    own = [] if written is None else [effect for effect in written.effects if effect.name in sure & WHEEL_EFFECTS]
+    if written is None or not own:
         return []
+    if any(effect.name == "unequal_wheels" for effect in own) and written.track_m is None:
+        return [Line("change", "the wheels differ in radius: with --track, `export` gives both", weight=FIRST)]
+    separation, left, right = wheel_multipliers(replace(written, effects=tuple(own))).values()
+    radius = 0.5 * (left + right)
+    sizes = {"wheel_separation": separation, **({"wheel_radius": radius} if left == right else {})}
+    verbs = {radius / separation: "turns"}
+    verbs[radius] = "turns and travels" if radius in verbs else "travels"
+    seen = [
+        f"{verb} {100.0 * abs(ratio - 1.0):.2g} % {'more' if ratio > 1.0 else 'less'} than its odometry says"
+        for ratio, verb in verbs.items()
+        if ratio != 1.0
+    ]
+    if left != right:
+        sizes |= {"left wheel's radius": left, "right one's": right}
+        seen.append(f"bends to the {'left' if right > left else 'right'} where its odometry is straight")
+    said, changed = " and ".join(seen), {name: ratio for name, ratio in sizes.items() if ratio != 1.0}
+    long, short = (", ".join(f"{name} {to} {ratio:.4f}" for name, ratio in changed.items()) for to in ("to", "x"))
+    return [Line("change", f"the robot {said}: set {long} of its value", weight=FIRST, short=f"{said}: {short}")]
+
+
+def _error_lines(comparison: Comparison) -> list[Line]:
+    """Return the errors without and with the findings by all measures; of one model with the clock, if that is off."""
+    if len(comparison.evaluations) == 1:
+        before, after = comparison.raw_error_m, comparison.clock_error_m
+        said = f"10 s error {size('along', before)} -> {size('along', after)} with the clock corrected"
+        return [Line("errors", said, weight=ALWAYS)] if before != after and isfinite(after) else []
     held, verdict = HELD[comparison.judged_on], agreement_of(comparison).verdict
     said = f"{measures_words(comparison)} ({held})"
     said += "; effects are chosen by likelihood" if verdict == "mixed" else ""
     return [Line("errors", said, TONES[verdict], ALWAYS, f"{measures_words(comparison, most=1)} ({held})")]
-
-
-def _clock_error_lines(comparison: Comparison) -> list[Line]:
-    """Return the error without and with the clock corrected, if that changes it."""
-    before, after = comparison.raw_error_m, comparison.clock_error_m
-    if before == after or not isfinite(after):
-        return []
-    change = f"{size('along', before)} -> {size('along', after)}"
-    return [Line("errors", f"10 s error {change} with the clock corrected", weight=ALWAYS)]
 
 
 def _written_lines(search: Learned, written: MotionModel | None) -> list[Line]:
@@ -308,14 +327,9 @@ def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[L
         for one in search.disagreements
     ]
     lines += [Line("data", contradiction(one), "warning") for one in search.contradicted]
-    return lines, _negligible_lines(small, absent)
-
-
-def _negligible_lines(small: Mapping[str, str], absent: Sequence[str]) -> list[Line]:
-    """Return a line of negligible findings, if any: texts of parts of the model by name, and dependences not in it."""
-    said = [f"{', '.join(small.values())}: in the model, but negligible"] if small else []
-    said += [f"{', '.join(absent)}: negligible, and not in the model"] if absent else []
-    return [Line("negligible", "; ".join(said), weight=SPARE, part=", ".join(small))] if said else []
+    trivial = [f"{', '.join(small.values())}: in the model, but negligible"] if small else []
+    trivial += [f"{', '.join(absent)}: negligible, and not in the model"] if absent else []
+    return lines, [Line("negligible", "; ".join(trivial), weight=SPARE, part=", ".join(small))] if trivial else []
 
 
 def _beside_findings(
@@ -399,7 +413,8 @@ def mistakes_first(brief: Summary, mistakes: Sequence[Mistake]) -> Summary:
     for one in mistakes:
         lines += [Line("MISTAKE", one.said, "bad", ALWAYS), Line("causes", one.causes, weight=FIRST)]
         lines.append(Line("change", "; ".join(filter(None, (one.change, one.then))), "warning", ALWAYS))
-    rest = [one._replace(label="otherwise") if lines and one.label == "COMPLETE" else one for one in brief.lines]
+    rest = [one._replace(label="otherwise") if lines and one.label == "COMPLETE" else one
+            for one in brief.lines if not (lines and one.label == "change")]  # fmt: skip
     return Summary((*lines, *rest), brief.most + len(lines))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 from math import degrees, isfinite
 from typing import TYPE_CHECKING, Any
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 
     from odomcorrupt.report.findings import FoundDependence
-    from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit, UntestableEffect
+    from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit
     from odomcorrupt.study.design.plan import Plan
     from odomcorrupt.study.estimate.calibrate import Interval, RobotFit
     from odomcorrupt.study.estimate.gauss_newton import Fit
@@ -53,12 +52,13 @@ def advice_sentences(advice: Advice, instead: Mapping[str, str] | None = None) -
 
     instead : effects with evidence of their own, each with the effect that was selected in its place
     """
-    groups: dict[tuple[str, str], list[UntestableEffect]] = {}
+    groups: dict[str, list[str]] = {}
     for one in advice.untestable:
         chosen = (instead or {}).get(one.effect)
-        own = replace(one, why=f"not separated from {chosen}" if chosen else f"not testable here: {one.why}")
-        groups.setdefault((own.why, _drive_words(one.plan, one.hint)), []).append(own)
-    return [*map(_choice_sentence, advice.choices), *map(_untestable_sentence, groups.values())]
+        why = f"not separated from {chosen}" if chosen else f"not testable here: {one.why}"
+        drive = f"drive {drive_sentence(one.plan)}" if one.plan is not None else one.hint
+        groups.setdefault("; ".join(filter(None, (why, drive))), []).append(one.effect)
+    return [*map(_choice_sentence, advice.choices), *(f"{', '.join(own)}: {why}" for why, own in groups.items())]
 
 
 def _choice_sentence(choice: Ambiguity) -> str:
@@ -97,18 +97,6 @@ def inseparable_sentence(advice: Advice, readings: Callable[[str], Sequence[str]
     return f"These data cannot separate {', nor '.join(pairs)}{words}"
 
 
-def _untestable_sentence(group: Sequence[UntestableEffect]) -> str:
-    """Return "A, B: not testable here: never reversed; drive X" of effects with the same reason and drive."""
-    names = ", ".join(one.effect for one in group)
-    words = _drive_words(group[0].plan, group[0].hint)
-    return f"{names}: {group[0].why}" + (f"; {words}" if words else "")
-
-
-def _drive_words(plan: Plan | None, hint: str) -> str:
-    """Return "drive X", or the effect's own hint if no plan excites it."""
-    return f"drive {drive_sentence(plan)}" if plan is not None else hint
-
-
 def drive_sentence(plan: Plan) -> str:
     """Return a drive's manoeuvre, duration, speed and floor area."""
     length, width = plan.floor_m
@@ -120,12 +108,10 @@ def drive_sentence(plan: Plan) -> str:
 
 def limits_sentence(limits: Sequence[DetectionLimit]) -> str:
     """Return the smallest detectable sizes in common units; "" if there are none."""
-    if not limits:
-        return ""
     every = [limit.effect for limit in limits]
     names = [one.effect if every.count(one.effect) == 1 else f"{one.effect} {one.parameter}" for one in limits]
     sizes = ", ".join(f"{name} {limit_size(limit)}" for name, limit in zip(names, limits, strict=True))
-    return f"smallest detectable sizes: {sizes}"
+    return f"smallest detectable sizes: {sizes}" if limits else ""
 
 
 def limit_size(limit: DetectionLimit) -> str:
@@ -165,8 +151,12 @@ def found_text(
         )
     lines += [_disagreement_line(one, learned) for one in learned.disagreements]
     lines += [contradiction(one) for one in learned.contradicted]
-    if small := [name for name in learned.added if learned.is_negligible(name)]:
-        lines.append(f"negligible, though significant: {', '.join(_moved_words(name, learned) for name in small)}")
+    small = {name: learned.contributions[name].ten_seconds for name in learned.added if learned.is_negligible(name)}
+    moved = [
+        f"{name} moves {size('along', span.moved_m)} in 10 s, of {size('along', span.error_m)} that remains"
+        for name, span in small.items()
+    ]
+    lines += [f"negligible, though significant: {', '.join(moved)}"] if moved else []
     if evaluated is not None and evaluated.verdict.fails:
         lines.append(unnamed(rejection(evaluated), found=bool(lines)))
     elif evaluated is not None and evaluated.verdict.rejected:
@@ -185,11 +175,6 @@ def selected_instead(learned: Learned) -> dict[str, str]:
         for one in step.candidates[1:]
         if one.gain > learned.decisions.alternative_nats and one.name not in learned.added
     }
-
-
-def _moved_words(name: str, learned: Learned) -> str:
-    span = learned.contributions[name].ten_seconds
-    return f"{name} moves {size('along', span.moved_m)} in 10 s, of {size('along', span.error_m)} that remains"
 
 
 def _event_line(one: Event) -> str:
@@ -378,8 +363,6 @@ def _interval_line(result: RobotFit, interval: Interval) -> str:
 
 def _event_lines(found: Sequence[Event]) -> list[str]:
     """Return the downweighted segments, the largest first, with the time since the recording's first odometry."""
-    if not found:
-        return []
     total = sum(event.end_s - event.start_s for event in found)
     lines = [f"{len(found)} stretches ({total:.1f} s) are outliers with reduced weight; the largest:"]
     largest = sorted(found, key=lambda e: abs(e.along_m) + abs(e.yaw_rad), reverse=True)[:_MOST_EVENTS]
@@ -388,7 +371,7 @@ def _event_lines(found: Sequence[Event]) -> list[str]:
         f"{degrees(e.yaw_rad):+.2f} deg"
         for e in sorted(largest, key=lambda e: (e.recording, e.start_s))
     ]
-    return lines
+    return lines if found else []
 
 
 def laws_table(results: Mapping[str, RobotFit]) -> str:

@@ -238,18 +238,13 @@ def numbers_text(effect: Effect, errors: Sequence[float]) -> list[str]:
     shown = zip(own, errors, strict=True)
     sizes = [f"{p.name} {value_text(getattr(effect, p.name), error, p.unit)}" for p, error in shown]
     shapes = [p for p in parameters(effect) if not p.amplitude]
-    extent = _extent(effect)
-    shapes = [p for p in shapes if not (extent and p.name in ("radius", "width"))]
+    extent = []
+    if isinstance(effect, RegionSlip):
+        # the full size; the parameters are half sizes
+        shapes = [p for p in shapes if p.name not in ("radius", "width")]
+        sides = f"{2.0 * effect.radius:.1f} m x {2.0 * effect.width:.1f} m"
+        extent = [sides if effect.width else f"diameter {2.0 * effect.radius:.2g} m"]
     return [*sizes, *(f"{p.name} {_shape_text(getattr(effect, p.name), p.unit)}" for p in shapes), *extent]
-
-
-def _extent(effect: Effect) -> list[str]:
-    """Return the full size of a region in words; its parameters are half sizes."""
-    if not isinstance(effect, RegionSlip):
-        return []
-    if not effect.width:
-        return [f"diameter {2.0 * effect.radius:.2g} m"]
-    return [f"{2.0 * effect.radius:.1f} m x {2.0 * effect.width:.1f} m"]
 
 
 def noise_text(effect: Effect) -> list[str]:

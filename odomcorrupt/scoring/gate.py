@@ -127,7 +127,7 @@ def parse_rule(text: str) -> Rule:
     ScoreError
         If it is not a rule.
     """
-    match = _RULE.match(text)
+    match = _RULE.match(text.lower())
     way_out = 'write it as "ate_p90 +20%", "lost +1" or "ate_median > 0.3"'
     if match is None:
         raise ScoreError(f"rule {text!r}: is not understood; {way_out}")
@@ -161,7 +161,8 @@ def compare_paired(old: Array, new: Array, *, rise: float = 0.2, statistic: str 
     """
     if len(old) != len(new) or len(old) < LEAST_PAIRS:
         raise ScoreError(
-            f"{min(len(old), len(new))} runs in common with the baseline; a gate takes {LEAST_PAIRS} or more"
+            f"{min(len(old), len(new))} runs in common with the baseline; a gate takes {LEAST_PAIRS} or more: make as "
+            f'many of both versions (batch --runs {LEAST_PAIRS}), or give a bound, as in "ate_p90 > 0.3"'
         )
     both = np.array([old, new], dtype=float)
     if not (both >= 0.0).all():
@@ -395,10 +396,8 @@ def _above(rule: Rule, runs: Mapping[Any, Mapping[str, Any]]) -> Verdict:
         value = len(lost) / (len(runs) if rule.percent else 1)
         failed = value > rule.amount
         names = tuple(f"{run['name']}, seed {run['seed']}, {run.get('source')}: {run.get('status')}" for run in lost)
-        return Verdict(
-            rule.text, failed, f"{_outcome(rule, failed=failed)} {len(lost)} of {len(runs)} runs failed",
-            runs=names if failed else (),
-        )  # fmt: skip
+        said = f"{_outcome(rule, failed=failed)} {len(lost)} of {len(runs)} runs failed"
+        return Verdict(rule.text, failed, said, runs=names if failed else ())
     errors = [(error, run) for run in runs.values() if (error := _error(run, rule.metric)) is not None]
     if not errors:
         raise ScoreError(f"rule {rule.text!r}: no run has {rule.metric}")

@@ -89,7 +89,7 @@ def find_estimate(directory: Path, run_file: Path, *, needs_topic: bool) -> Path
         return found[0]
     if needs_topic and own.exists() and own.suffix not in _TEXTS:
         return run_file
-    way_out = "name another place with --outputs, or a topic of the run with --estimate"
+    way_out = "name another place with --outputs, or a topic of the run with --estimate (docs/score.md)"
     raise NoEstimateError(f"no file {name}* with an estimate in {directory}; {way_out}")
 
 

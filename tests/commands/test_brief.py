@@ -1,6 +1,8 @@
 """What commands print by default: at most eight lines of eighty columns, the verdict first, a command last."""
 
 import json
+import shlex
+import shutil
 from pathlib import Path
 
 import pytest
@@ -9,7 +11,8 @@ from ruamel.yaml import YAML
 from odomcorrupt.cli import run
 from odomcorrupt.effects import registry
 
-OFFICE = str(Path(__file__).parents[2] / "fixtures" / "office.mcap")
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+OFFICE = str(FIXTURES / "office.mcap")
 NOISE = ["--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "1"]
 MAP = ["map", OFFICE, "--resolution", "0.2", *NOISE]
 
@@ -81,3 +84,30 @@ def test_parameters_stand_without_their_derivation_unless_it_is_asked_for(target
     assert len(brief) <= 8 < len(full)
     assert YAML().load("\n".join(brief)) == YAML().load("\n".join(full))
     assert brief[0] == "# not expressed: side_slip (-v says why)"
+
+
+@pytest.mark.parametrize(
+    ("typed", "last"),
+    [
+        ("info in.mcap", "noisy.mcap"),
+        ("batch in.mcap runs --runs 2 --preset typical --output trajectories --seed 1", "score -h"),
+        ("sample -n 50 --seed 2", "density -n 50 --seed 2 --plot density.png"),
+        ("integrate in.mcap --twist-noise 0.2 0.04 --seed 1 --runs 3", "--plot errors.png"),
+        ("learn mystery.mcap -o robot.toml", "export robot.toml --to ros2_control"),
+    ],
+)
+def test_each_suggested_command_runs_and_those_that_it_suggests(typed, last, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name, fixture in (("in.mcap", "office.mcap"), ("sim.bag", "office.bag"), ("mystery.mcap", "mystery.mcap")):
+        shutil.copy(FIXTURES / fixture, name)
+    todo, done = [typed], {}
+    for line in todo:
+        words = shlex.split(line)
+        kind = (words[0], "--plot" in words, "-o" in words)
+        if kind not in done:
+            done[kind] = line
+            assert run(words) == 0, done
+            _, _, said = f"{''.join(capsys.readouterr())}\nnext ".replace("\\\n", "").partition("\nnext ")
+            following = [" ".join(row.split()) for row in said.splitlines() if "odomcorrupt " in row]
+            todo += [row.removeprefix("odomcorrupt ") for row in following]
+    assert any(line.endswith(last) for line in done.values()), done

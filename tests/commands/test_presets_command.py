@@ -43,27 +43,6 @@ def test_a_preset_is_printed_as_a_model_file_of_the_same_model(name, capsys, tmp
     assert f"(of {file})" in capsys.readouterr().err
 
 
-def test_a_preset_that_is_none_is_wrong_usage_of_this_command(capsys):
-    assert run(["presets", "ideal"]) == 2
-    said = capsys.readouterr().err
-    assert "no preset is called 'ideal'; there are typical" in said
-    assert "(see odomcorrupt presets --help)" in said
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["nosuch"], "nosuch: no such file, and no such command; name a command, or INPUT and OUTPUT"),
-        ([OFFICE], "Missing argument 'OUTPUT'"),
-        (["presest"], "did you mean presets?"),
-        (["diagnos", "x.bag"], "did you mean diagnose?"),
-    ],
-)
-def test_one_word_alone_is_reported_what_it_is_not(words, sentence, capsys):
-    assert run(words) == 2
-    assert sentence in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("name", [name for name, preset in PRESETS.items() if preset.spread])
 def test_a_batch_draws_a_robot_within_the_range_of_a_preset(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -22,14 +22,9 @@ def test_every_command_has_the_standard_options(name, capsys):
     words = {word for option in command.params for word in option.opts}
     assert {"-v", "--verbose", "-q", "--quiet", "--json", "--config"} <= words
     assert ("--force" in words) == ("--overwrite" in words)
+    assert "-o" in words or name not in ("corrupt", "correct", "assemble", "batch", "simulate", "integrate")
     assert run([name, "-h"]) == 0
     assert "Usage: odomcorrupt" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("name", ["corrupt", "correct", "assemble", "batch", "simulate", "integrate"])
-def test_the_output_may_be_named_by_an_option(name):
-    words = {word for option in cli.get_command(click.Context(cli), name).params for word in option.opts}
-    assert "-o" in words
 
 
 def test_the_output_is_named_once(tmp_path, capsys):
@@ -37,10 +32,6 @@ def test_the_output_is_named_once(tmp_path, capsys):
     assert (tmp_path / "a.mcap").exists()
     assert run([OFFICE, str(tmp_path / "b.mcap"), "-o", str(tmp_path / "c.mcap")]) == 2
     assert "both name the output" in capsys.readouterr().err
-    assert run([OFFICE, "a.bga"]) == 1
-    assert "a.bga: .bga is not a bag format (did you mean .bag?)" in capsys.readouterr().err
-    assert run([OFFICE, "--seed", "1"]) == 2
-    assert "Missing argument 'OUTPUT'" in capsys.readouterr().err
 
 
 def test_a_verdict_everything_nothing_or_values(tmp_path, capsys):
@@ -183,15 +174,3 @@ def test_a_step_may_be_a_distance_alone(tmp_path, capsys):
     assert "once per 0.25m,0.2rad" in capsys.readouterr().err
     assert run([OFFICE, str(tmp_path / "b.mcap"), *numbers, "--step", "0.1rad"]) == 0
     assert "once per 0.25m,0.1rad" in capsys.readouterr().err
-
-
-def test_a_topic_is_not_its_own_truth_and_centimetres_are_no_metres(capsys):
-    for words, said in (
-        (["learn", OFFICE, "--truth", "/odom"], "--truth /odom is the odometry itself"),
-        (["fit", OFFICE, "--odom", "/odom", "--truth", "odom"], "is the odometry itself"),
-        (["learn", OFFICE, "--truth", "/odom", "--track", "42.3"], "42.3 cm are 0.423"),
-        ([OFFICE, "out.mcap", "--track", "42.3"], "42.3 cm are 0.423"),
-        (["export", "robot.toml"], "give --to ros2_control, nav2, robot_localization or gazebo"),
-    ):
-        assert run(words) in (1, 2)
-        assert said in capsys.readouterr().err

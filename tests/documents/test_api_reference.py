@@ -80,6 +80,8 @@ def test_every_example_of_the_page_runs(tmp_path, monkeypatch, capsys):
     said = capsys.readouterr().out
     (printed,) = re.findall(r"^```text\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
     assert plain(printed) in plain(said)
+    shown, own = (re.findall(r"[\d.]+", text) for text in (printed, said[said.index("MISSING") :]))
+    assert [*map(float, own[: len(shown)])] == pytest.approx([*map(float, shown)], rel=0.1)
     for name in ("noisy.mcap", "slipping.mcap", "robot.toml", "errors.png", "corrected.mcap", "secret.mcap"):
         assert (tmp_path / name).stat().st_size > 0
     assert len(repr(names["result"])) < 200

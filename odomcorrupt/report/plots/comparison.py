@@ -489,10 +489,9 @@ def draw_candidates(learned: Learned) -> Figure:
 def _ranking(axes: Axes, title: str, step: Step) -> None:
     ranked = sorted(step.candidates, key=lambda c: (not c.refused, evidence_nats(c)), reverse=True)[:_MOST]
     nats = [evidence_nats(c) for c in ranked]
-    colours = [_colour(c, step) for c in ranked]
+    colours, labels = zip(*(_bar_of(c, n, step) for c, n in zip(ranked, nats, strict=True)), strict=True)
     places = np.arange(len(ranked))
     bars = axes.barh(places, nats, color=colours, height=0.72)
-    labels = [_label(c, n, step) for c, n in zip(ranked, nats, strict=True)]
     axes.bar_label(bars, labels=labels, padding=4, fontsize=8)
     axes.set_yticks(places, [c.score.effect.name for c in ranked])
     axes.invert_yaxis()
@@ -502,20 +501,14 @@ def _ranking(axes: Axes, title: str, step: Step) -> None:
     axes.set_title(f"{title}: {outcome}")
 
 
-def _colour(candidate: Candidate, step: Step) -> str:
+def _bar_of(candidate: Candidate, nats: float, step: Step) -> tuple[str, str]:
+    """Return the colour and the label of a candidate's bar."""
     name = candidate.score.effect.name
     if name == step.added:
-        return BLUE
-    return SKY if name in step.alternatives else _GREY
-
-
-def _label(candidate: Candidate, nats: float, step: Step) -> str:
-    name = candidate.score.effect.name
-    if name == step.added:
-        return f"{nats:.0f}"
+        return BLUE, f"{nats:.0f}"
     if name in step.alternatives:
-        return f"{nats:.0f}, not separable from it"
-    return candidate.refused or f"{nats:.0f}, others explain it better"
+        return SKY, f"{nats:.0f}, not separable from it"
+    return _GREY, candidate.refused or f"{nats:.0f}, others explain it better"
 
 
 _MOST_CURVES = 3
@@ -560,15 +553,12 @@ def _drawn(axes: Axes, one: Dependence) -> None:
         if one.wavelength_m is not None:
             label = "path driven, within a turn of the wheel (m)"
         x, curve, error = one.centres * factor, one.curve, one.curve_error
-    _band(axes, x, scale * curve, scale * error)
-    axes.set(xlabel=label, ylabel=f"truth minus odometry ({unit})")
-
-
-def _band(axes: Axes, x: Array, curve: Array, error: Array) -> None:
+    curve, error = scale * curve, scale * error
     axes.axhline(0.0, color="0.3", linewidth=0.8)
     axes.fill_between(x, curve - 2.0 * error, curve + 2.0 * error, color=ORANGE, alpha=0.28, linewidth=0)
     axes.plot(x, curve, color="#A06000", linewidth=1.8, marker="o" if len(x) < 20 else "", markersize=4)
     axes.grid(visible=True, color="0.93")
+    axes.set(xlabel=label, ylabel=f"truth minus odometry ({unit})")
 
 
 def _places(axes: Axes, one: Dependence, scale: float, unit: str) -> None:
