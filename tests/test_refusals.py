@@ -29,7 +29,7 @@ REFUSED = {
     "sample --start 10deg,0,0": "is not a pose",
     "sample --start 0,0,90": "write 90deg",
     "sample --start a,b,c": "is not a pose",
-    "density -o out.txt": "ends in .txt; write .png, .svg or .pdf",
+    f"map {OFFICE} -o out.yaml": "out.yaml: --method laser writes a map for nav2; name it .yaml",
     f"map {OFFICE} -o out.txt": "ends in .txt; write .png, .svg or .pdf",
     f"integrate {OFFICE} --plot out.txt": "ends in .txt; write .png, .svg or .pdf",
     f"integrate {OFFICE} --runs 3": "--runs 3: without --twist-noise all runs are the same",

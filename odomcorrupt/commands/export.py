@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from odomcorrupt.commands._model import completing
 from odomcorrupt.commands._options import FILE, OUTPUT, TRACK, Decorator, Number, setting, usage_errors, valued
-from odomcorrupt.commands._standard import Console, overwrite_option, standard_options
+from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, written
 from odomcorrupt.errors import ModelError
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ def _number(
 
 
 @click.command("export", short_help="Print a model as parameters of ros2_control, nav2, robot_localization or Gazebo.")
-@click.argument("model", type=FILE)
+@click.argument("model", type=FILE, shell_complete=completing("model.presets", "PRESETS"))
 @click.option(
     "--to", "target", type=click.Choice(["ros2_control", "nav2", "robot_localization", "gazebo"]),
     help="Wheel multipliers, amcl's alphas, covariances, or a drive plugin.",
@@ -79,7 +80,5 @@ def command(model: Path, *, target: Target | None, output: Path | None, console:
         "robot_localization": "ros2 run robot_localization ekf_node --ros-args --params-file",
     }
     words = [*load[target].split(), output] if target in load else []
-    console.show(
-        replace(result, name=model.name).then(*words),
-        files={output: lambda: result.save(output, overwrite=True)},
-    )
+    files = written(output, lambda path: result.save(path, overwrite=True))
+    console.show(replace(result, name=model.name).then(*words), files=files)

@@ -80,8 +80,8 @@ def _files(output: Path | None, method: str, *, overwrite: bool) -> tuple[Path, 
 
     if output is None:
         return None, None
-    if method == "laser" and output.suffix != ".yaml":
-        raise click.UsageError(f"{output}: --method laser writes a map for nav2; name it .yaml")
+    if (method == "laser") != (output.suffix == ".yaml"):
+        raise click.UsageError(f"{output}: --method laser writes a map for nav2; name it .yaml, pictures .png")
     if method == "odometry":
         PICTURE.require_writable(output, overwrite=overwrite)
     picture = output.with_suffix(".png") if method == "laser" else output
