@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from odomcorrupt.bags.messages import gather, locate, stamps_or_log_ns
+from odomcorrupt.bags.messages import gather, stamps_or_log_ns
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.batching.manifest import BEGINNING, read_beginning, read_records
 from odomcorrupt.corruption.odometry_source import PLANAR
@@ -20,7 +20,7 @@ from odomcorrupt.scoring.statistics import Breakdown, Growth, Section, Summary, 
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.raw_trajectory import in_order
 from odomcorrupt.study.io.text import is_text, read_text
-from odomcorrupt.study.io.topic_selection import parse_address, plain
+from odomcorrupt.study.io.topic_selection import located, parse_address, plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -148,14 +148,12 @@ def _covariances(path: Path, topic: str, ordered: Samples) -> Array | None:
     stamps, values = [], []
     with open_reader(path) as reader:
         channels = [c for c in reader.channels.values() if plain(c.topic) == plain(topic)]
-        for block in reader.blocks():
-            for channel in channels:
-                for layout in locate(block, channel):
-                    item = layout.items[0]
-                    if "pose_covariance" in item.fields:
-                        full = gather(block, layout, item, "pose_covariance").reshape(-1, 6, 6)
-                        stamps.append(stamps_or_log_ns(block, layout, layout.items[0]))
-                        values.append(full[:, PLANAR[:, None], PLANAR])
+        for block, _, layout in located(reader, channels):
+            item = layout.items[0]
+            if "pose_covariance" in item.fields:
+                full = gather(block, layout, item, "pose_covariance").reshape(-1, 6, 6)
+                stamps.append(stamps_or_log_ns(block, layout, item))
+                values.append(full[:, PLANAR[:, None], PLANAR])
     if not stamps:
         return None
     every, matrices = np.concatenate(stamps), np.concatenate(values)

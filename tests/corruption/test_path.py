@@ -121,32 +121,27 @@ def test_a_parked_robot_with_ten_micrometres_of_jitter_does_not_spin():
         assert np.abs(samples.error_xyt[:, :2]).max() < 0.05
 
 
-def test_standstill_changes_nothing_to_the_bit():
-    poses = np.tile([12.3, -4.5, 2.0], (500, 1))
-    for law in LAWS:
-        samples = NoisyPath(model(law), 1).feed(stamps(500, 50.0), poses)
-        assert not samples.error_xyt.any()
-        assert not samples.correction_xyt.any()
+PARKED = stamps(500, 50.0), np.tile([12.3, -4.5, 2.0], (500, 1))
+AT_IDENTITY = (effect_from_values("wheel_scale", {"e": 0.0}), effect_from_values("gyro_bias", {}))
 
 
-def test_silent_models_and_effects_at_identity_change_nothing_to_the_bit():
-    at_identity = (effect_from_values("wheel_scale", {"e": 0.0}), effect_from_values("gyro_bias", {}))
-    samples = NoisyPath(silent(at_identity), 1).feed(*office())
+@pytest.mark.parametrize(
+    ("chosen", "drive"), [*((model(law), PARKED) for law in LAWS), (silent(AT_IDENTITY), office())]
+)
+def test_standstill_silent_models_and_effects_at_identity_change_nothing_to_the_bit(chosen, drive):
+    samples = NoisyPath(chosen, 1).feed(*drive)
     assert not samples.error_xyt.any()
     assert not samples.correction_xyt.any()
 
 
-def test_noise_before_a_stop_is_held_during_it():
+def test_the_first_pose_is_unchanged_and_noise_before_a_stop_is_held_during_it():
     t, poses = office(50.0, 10.0)
     samples = NoisyPath(model(), 1).feed(t, poses)
     stopped = slice(402, 500)
     assert np.ptp(samples.clean_xyt[stopped], axis=0) == pytest.approx(0.0)
     assert not np.ptp(samples.error_xyt[stopped], axis=0).any()
     assert samples.error_xyt[-1].all()
-
-
-def test_the_first_pose_is_unchanged():
-    assert not NoisyPath(model(), 1).feed(*office()).error_xyt[0].any()
+    assert not samples.error_xyt[0].any()
 
 
 def test_correction_takes_clean_poses_to_noisy_ones():

@@ -113,12 +113,16 @@ def test_the_summary_expects_no_noise_of_effects_and_no_place_of_a_lost_heading(
     assert "deg: the position is arbitrary)" in summary(wild, "")
 
 
-def test_the_summary_counts_stamps_of_zero_and_messages_put_in_order(tmp_path):
+def test_the_summary_counts_stamps_of_zero_and_messages_put_in_order_and_names_the_edges_there_are(tmp_path):
     outcome = corrupt(FIXTURES / "office.mcap", tmp_path / "out.mcap", model())
     assert (outcome.swapped, outcome.zero_stamps) == (0, 0)
     text = summary(replace(outcome, swapped=3, zero_stamps=7), "")
     assert "7 odometry stamps are zero: log times were used instead." in text
     assert "3 odometry messages were out of order: they were sorted." in text
+    assert "transforms odom -> base_link" in text
+    assert "TF has" not in text
+    elsewhere = replace(outcome, changes=replace(outcome.changes, edges={}), stayed={"map -> base_link": "/tf"})
+    assert "no transform from odom (TF has map -> base_link)" in summary(elsewhere, "")
 
 
 @pytest.mark.parametrize(
@@ -142,15 +146,6 @@ def test_a_silent_summary_promises_no_drift(tmp_path):
     text = summary(corrupt(FIXTURES / "office.mcap", tmp_path / "out.mcap", silent()), "")
     assert text.startswith("Nothing to change: ")
     assert "Drift" not in text
-
-
-def test_where_no_edge_is_moved_the_summary_names_those_there_are(tmp_path):
-    outcome = corrupt(FIXTURES / "office.mcap", tmp_path / "out.mcap", model())
-    moved = summary(outcome, "")
-    assert "transforms odom -> base_link" in moved
-    assert "TF has" not in moved
-    elsewhere = replace(outcome, changes=replace(outcome.changes, edges={}), stayed={"map -> base_link": "/tf"})
-    assert "no transform from odom (TF has map -> base_link)" in summary(elsewhere, "")
 
 
 def test_a_frame_that_is_nowhere_is_refused(tmp_path):

@@ -64,12 +64,15 @@ def test_silent_models_leave_every_byte():
         assert messages_of(out) == messages_of(blocks_of(messages))
 
 
-def test_odometry_follows_the_noisy_path_of_its_seed():
+def test_odometry_and_its_covariances_follow_the_noisy_path_of_its_seed():
     out, transform = run(robot(*DRIVE))
     samples = NoisyPath(model(), 1).feed(*DRIVE)
     stamps, noisy = poses_of(out)
     assert np.array_equal(stamps, DRIVE[0])
     assert_same_poses(noisy, samples.clean_xyt + samples.error_xyt)
+    values = read(out, ODOM, "pose_covariance")[1].reshape(-1, 6, 6)[:, [0, 1, 5]][:, :, [0, 1, 5]]
+    expected = pose_covariance(samples.sums, (noisy[:, :2] - samples.origin_xy).T)
+    assert values == pytest.approx(expected, rel=1e-9, abs=1e-15)
     assert transform.changes.odometry == {"/odom": 301}
     assert transform.changes.edges == {"odom -> base_link": 301}
 
@@ -176,13 +179,6 @@ def test_twists_of_another_topic_in_the_same_frame_integrate_too():
     assert_same_poses(noisy, compose(C, own))
 
 
-def test_twists_can_be_kept():
-    messages = robot(*DRIVE)
-    out, _ = run(messages, keep_twist=True)
-    assert np.array_equal(read(out, ODOM, "twist")[1], read(blocks_of(messages), ODOM, "twist")[1])
-    assert not np.array_equal(poses_of(out)[1], poses_of(blocks_of(messages))[1])
-
-
 def test_odometry_in_another_frame_stays():
     messages = robot(*DRIVE)
     messages += [(TRUTH, int(s), odometry(s, p, frame="map")) for s, p in zip(*DRIVE, strict=True)]
@@ -232,12 +228,23 @@ def test_twist_covariance_says_how_much_noise_the_twists_carry():
     assert np.mean(nees) / 2 == pytest.approx(1.0, abs=0.05)
 
 
-@pytest.mark.parametrize(("chosen", "options"), [(silent(EFFECTS), {}), (model(), {"keep_covariance": True})])
-def test_covariances_stay_where_no_noise_is_drawn_or_on_request(chosen, options):
-    messages = robot(*DRIVE)
-    out, _ = run(messages, chosen, **options)
-    for name in ("pose_covariance", "twist_covariance"):
-        assert np.array_equal(read(out, ODOM, name)[1], read(blocks_of(messages), ODOM, name)[1])
+COVARIANCES = ("pose_covariance", "twist_covariance")
+
+
+@pytest.mark.parametrize(
+    ("chosen", "options", "names"),
+    [
+        (silent(EFFECTS), {}, COVARIANCES),
+        (model(), {"keep_covariance": True}, COVARIANCES),
+        (model(), {"keep_twist": True}, ("twist",)),
+    ],
+)
+def test_twists_and_covariances_stay_on_request_and_covariances_where_no_noise_is_drawn(chosen, options, names):
+    before = blocks_of(robot(*DRIVE))
+    out, _ = run(robot(*DRIVE), chosen, **options)
+    assert not np.array_equal(poses_of(out)[1], poses_of(before)[1])
+    for name in names:
+        assert np.array_equal(read(out, ODOM, name)[1], read(before, ODOM, name)[1])
 
 
 def test_a_parked_robot_is_left_alone_but_for_covariances():
@@ -287,21 +294,20 @@ def test_the_correction_is_held_where_odometry_ends_and_that_is_counted():
     assert np.ptp(C[199:], axis=0) == pytest.approx(0.0, abs=1e-9)
 
 
+def watched(bag):
+    """Return the blocks that were read from a bag so far, and an iterator over what is made of them."""
+    read_blocks = []
+    bag.blocks = lambda _only=None: (read_blocks.append(block) or block for block in bag.held)
+    return read_blocks, Transform(model(), 1).blocks(bag, "test")
+
+
 def test_blocks_are_not_held_for_longer_than_two_seconds():
     t, poses = office(20.0, 30.0)
     messages = [(ODOM, int(t[0]), odometry(t[0], poses[0]))]
     messages += [(TF, int(s) + 1, transforms((s, "odom", "base_link", p))) for s, p in zip(t, poses, strict=True)]
-    bag = MemoryBag(blocks_of(messages, 5))
-    read_ahead = []
-
-    def watched(_only=None):
-        for block in bag.held:
-            read_ahead.append(int(block.table["log_ns"][-1]))
-            yield block
-
-    bag.blocks = watched
-    for block in Transform(model(), 1).blocks(bag, "test"):
-        assert read_ahead[-1] - int(block.table["log_ns"][-1]) <= 2_300_000_000
+    read_blocks, given = watched(MemoryBag(blocks_of(messages, 5)))
+    for block in given:
+        assert int(read_blocks[-1].table["log_ns"][-1] - block.table["log_ns"][-1]) <= 2_300_000_000
 
 
 def test_stamps_of_zero_are_read_as_log_times_and_stay_zero():
@@ -383,35 +389,14 @@ def test_drift_expected_and_drawn_agree_over_many_runs():
 def test_relative_poses_on_the_way_do_not_depend_on_where_odom_began():
     """The noisy path of a drive seen from its own start is the same wherever the odom frame lies."""
     t, poses = DRIVE
-    moved = replace_start(poses, np.array([120.0, -40.0, 1.0]))
+    moved = compose(np.array([120.0, -40.0, 1.0]), between(poses[:1], poses))
     ours = poses_of(run(driven(t, poses))[0])[1]
     theirs = poses_of(run(driven(t, moved))[0])[1]
     assert_same_poses(between(ours[:1], ours), between(theirs[:1], theirs), 1e-8)
 
 
-def replace_start(poses, start):
-    return compose(start, between(poses[:1], poses))
-
-
 def test_a_log_clock_that_stands_still_does_not_hold_the_whole_bag():
     messages = [(channel, 10**18, data) for channel, _, data in robot(*office(20.0, 40.0))]
-    bag, read_blocks, held = MemoryBag(blocks_of(messages, 30), CHANNELS), [], 0
-
-    def watched(_only=None):
-        for block in bag.held:
-            read_blocks.append(block)
-            yield block
-
-    bag.blocks = watched
-    for given, _ in enumerate(Transform(model(), 1).blocks(bag, "test")):
-        held = max(held, len(read_blocks) - given)
+    read_blocks, given = watched(MemoryBag(blocks_of(messages, 30), CHANNELS))
+    held = max(len(read_blocks) - i for i, _ in enumerate(given))
     assert held < 20
-
-
-def test_covariances_in_messages_are_those_of_the_path():
-    out, _ = run(robot(*DRIVE))
-    samples = NoisyPath(model(), 1).feed(*DRIVE)
-    noisy = (samples.clean_xyt + samples.error_xyt)[:, :2] - samples.origin_xy
-    expected = pose_covariance(samples.sums, noisy.T)
-    values = read(out, ODOM, "pose_covariance")[1].reshape(-1, 6, 6)[:, [0, 1, 5]][:, :, [0, 1, 5]]
-    assert values == pytest.approx(expected, rel=1e-9, abs=1e-15)

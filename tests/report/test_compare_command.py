@@ -51,23 +51,21 @@ def test_report_and_pictures_are_written_once(case, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("plot", "words"),
+    ("plots", "words"),
     [
-        ("cloud=a.png", "there are error, path"),
-        ("error=a.bmp", "a.bmp: ends in .bmp; write .png"),
-        ("a", "a: ends in nothing; write .png"),
+        (["cloud=a.png"], "there are error, path"),
+        (["error=a.bmp"], "a.bmp: ends in .bmp; write .png"),
+        (["a"], "a: ends in nothing; write .png"),
+        (["a.png", "nees=a.png"], "another picture"),
     ],
 )
-def test_a_picture_that_is_not_there_is_named(case, capsys, plot, words):
-    assert compare(case, case.robot, "--plot", plot) == 2
+def test_a_picture_that_is_not_there_is_named_and_two_do_not_share_a_file(
+    case, tmp_path, capsys, monkeypatch, plots, words
+):
+    monkeypatch.chdir(tmp_path)
+    assert compare(case, case.robot, *(word for plot in plots for word in ("--plot", plot))) == 2
     assert words in capsys.readouterr().err
-
-
-def test_two_pictures_do_not_share_a_file(case, tmp_path, capsys):
-    file = tmp_path / "one.png"
-    assert compare(case, case.robot, "--plot", file, "--plot", f"nees={file}") == 2
-    assert "another picture" in capsys.readouterr().err
-    assert not file.exists()
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(("name", "word"), [("base", "diagnose"), ("robot", "sim.bag")])

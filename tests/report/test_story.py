@@ -147,15 +147,6 @@ def test_the_headline_says_which_dependences_are_not_in_the_model(rich):
     assert said["time"].endswith("(not in the model; to decide, learn from a second drive as well)")
 
 
-def test_a_validated_drive_is_not_asked_for_but_what_it_showed_is_said(rich):
-    over_time = unknown("yaw", "time", per="s")
-    why = "the other drive does not support it: -1 +- 25 nats"
-    learned = replace(rich, unknown=(over_time,), laws=(), left_out={over_time.name: why})
-    lines, _ = _found_lines(learned, rich.fit, set())
-    assert sum(line.text.endswith(f"(left out of the model: {why})") for line in lines) == 1
-    assert not any("--validate" in line.text for line in lines)
-
-
 def test_a_dependence_of_the_model_is_reported_as_such_though_another_part_was_dropped(rich, sequence):
     """What is dropped changes what others may replace, and a changed copy of a dependence was taken for another one."""
     law, name = UNKNOWNS[-1], "along_over_distance"
@@ -181,17 +172,17 @@ def test_a_dependence_of_the_model_is_reported_as_such_though_another_part_was_d
 
 
 def test_why_a_dependence_was_left_out_is_said_on_its_line_and_not_on_others_of_its_name(rich):
-    law = UNKNOWNS[-1]
-    weaker, over_time = replace(law, nats=12.0), unknown("yaw", "time", per="s")
-    why = {law.name: "no odometry satisfies it on the fitted drive"}
-    learned = replace(rich, unknown=(law, weaker), laws=(), left_out=why)
+    law = unknown("yaw", "time", per="s")
+    why = "the other drive does not support it: -1 +- 25 nats"
+    learned = replace(rich, unknown=(law, replace(law, nats=12.0)), laws=(), left_out={law.name: why})
     lines, _ = _found_lines(learned, rich.fit, set())
-    (said, other) = (line.text for line in lines if "periodic" in line.text)
-    assert said.endswith(" (left out of the model: no odometry satisfies it on the fitted drive)")
+    (said, other) = (line.text for line in lines if "time" in line.text)
+    assert said.endswith(f" (left out of the model: {why})")
+    assert "second drive" not in said
     assert " (not in the model" in other
-    lines, _ = _found_lines(replace(learned, unknown=(over_time,)), rich.fit, set())
+    lines, _ = _found_lines(replace(learned, unknown=(law,), left_out={}), rich.fit, set())
     (line,) = (line for line in lines if " (not in the model; to decide, learn from a second drive" in line.text)
-    assert over_time.expression not in line.short
+    assert law.expression not in line.short
     assert line.short.endswith(": a second drive decides")
 
 
@@ -287,10 +278,6 @@ def test_what_explains_about_as_much_as_a_name_is_said_beside_it(rich):
     assert "the along error is periodic, every 0.52 m driven" in alone
 
 
-def test_where_nothing_is_found_the_text_says_so(poor):
-    assert texts.found_text(poor, NONE) == texts.NOTHING
-
-
 def test_advice_is_a_sentence_for_each_choice_and_one_for_all_that_share_a_drive():
     lines = texts.advice_sentences(ADVICE)
     assert len(lines) == len(CHOICES) + 3
@@ -328,6 +315,7 @@ def test_the_page_of_a_search_that_found_nothing_is_whole(poor, sequence):
     good = replace(sequence, evaluations=(kept(sequence.evaluations[0]),))
     page = found_html(poor, good, NONE, "")
     parsed_page(page)
+    assert texts.found_text(poor, NONE) == texts.NOTHING
     assert texts.NOTHING[1:] in unescape(page)
     assert "rejected" not in page.split("</h1>", 1)[1].split("</p>", 1)[0]
 

@@ -27,14 +27,9 @@ from odomcorrupt.study.terms.channels import Action, every_action, views
 from odomcorrupt.study.terms.term import BasisTerm
 
 
-def _fitted(seed: int, cause: str | None, **options):
-    run = as_recording(simulate(seed, cause, duration_s=300.0, **options))
-    return run, fit([run], approach=choose_approach([run]))
-
-
 def _looked(seed: int, cause: str | None, **options):
-    _, fitted = _fitted(seed, cause, **options)
-    return basis_dependences(fitted)
+    run = as_recording(simulate(seed, cause, duration_s=300.0, **options))
+    return basis_dependences(fit([run], approach=choose_approach([run])))
 
 
 def test_an_expression_of_numbers_alone_is_held_while_everything_else_is_fitted():
@@ -212,26 +207,18 @@ def test_a_carpet_is_slip_in_a_rectangle_that_is_turned():
     assert ten_second_error([planted]) > 1.5 * ten_second_error([clean])
 
 
-@pytest.fixture(scope="module")
-def motion():
-    return driving_motion(as_recording(simulate(73, None, duration_s=60.0)), "odometry")
-
-
-def heading_waves(motion, move="abs(v)", channel="across"):
-    functions = [f for f in basis_functions([motion]) if f.regressor == "heading"]
-    return [BasisTerm(f, Action(channel, move)) for f in functions]
-
-
 def toward(motion, theta):
     """Return the motion at constant speed with other headings."""
     ones = np.ones(len(motion))
     return replace(motion, v=0.5 * ones, omega=ones, dt_s=0.02 * ones, theta=np.resize(theta, len(motion)))
 
 
-def test_a_wave_on_driven_headings_is_the_wave_there_and_zero_elsewhere(motion):
+def test_a_wave_on_driven_headings_is_the_wave_there_and_zero_elsewhere():
+    motion = driving_motion(as_recording(simulate(73, None, duration_s=60.0)), "odometry")
     two = np.concatenate((np.linspace(167.0, 182.0, 50), np.linspace(11.0, 19.0, 50)))  # one of them across 180 degrees
     line = toward(motion, np.radians(two))
-    for term in heading_waves(motion):
+    for function in (f for f in basis_functions([motion]) if f.regressor == "heading"):
+        term = BasisTerm(function, Action("across", "abs(v)"))
         limited = term.where_driven([line])
         assert limited.function.place == "known from 10 to 20 and 165 to 185 deg only"
         full, part = (error_of(one.effect([0.03, -0.02]), line) for one in (term, limited))

@@ -105,19 +105,15 @@ def test_independent_losses_of_both_wheels_are_named_once_for_each():
     assert found["left"].fraction == pytest.approx(0.01, abs=0.003)
 
 
-@pytest.mark.parametrize("tick_m", [1e-4, 2e-3, 5e-3, 2e-2, 3e-2])
-def test_ticks_alone_lose_nothing(tick_m):
-    assert "lost_increments" not in effects_of(counted(tick_m)[0])
-
-
-@pytest.mark.parametrize("tick_m", [1e-4, 2e-3])
-def test_counts_that_come_late_are_not_lost(tick_m):
-    assert "lost_increments" not in effects_of(counted(tick_m, late=0.01)[0])
-
-
-@pytest.mark.parametrize("tick_m", [1e-4, 2e-3])
-def test_counts_of_one_wheel_that_come_late_are_not_lost(tick_m):
-    assert not losses_named(counted(tick_m, late=0.01, late_by=(0.0, 1.0))[0])
+@pytest.mark.parametrize(
+    ("tick_m", "late"),
+    [
+        *((tick_m, {}) for tick_m in (1e-4, 2e-3, 5e-3, 2e-2, 3e-2)),
+        *((tick_m, {"late": 0.01, "late_by": by}) for tick_m in (1e-4, 2e-3) for by in ((1.0, 1.0), (0.0, 1.0))),
+    ],
+)
+def test_ticks_and_counts_of_both_wheels_or_of_one_that_come_late_are_not_lost(tick_m, late):
+    assert not losses_named(counted(tick_m, **late)[0])
 
 
 def test_turns_about_a_wheel_are_no_losses():

@@ -193,6 +193,8 @@ def test_a_large_cause_matters_and_what_chance_makes_of_another_does_not(learned
     assert found.is_negligible("wheel_scale")
     strict = replace(found, decisions=replace(DECISIONS, practical=Practical(share=0.0, far_share=0.0, per_m=0.0)))
     assert not strict.is_negligible("wheel_scale")
+    assert not learned.is_negligible("wheel_scale")  # nobody measured it
+    assert contributions(learned.fit.refit([])) == {}
 
 
 def test_it_is_measured_on_recordings_that_were_not_fitted_where_there_are_any(learned):
@@ -202,11 +204,6 @@ def test_it_is_measured_on_recordings_that_were_not_fitted_where_there_are_any(l
     far = undo(run, learned.fit.effects).odometry.xyt[:, :2] - undo(run, bare.effects).odometry.xyt[:, :2]
     assert 0.0 < own.moved_m < np.abs(far).max()
     assert own.travelled_m == pytest.approx(contributions(learned.fit)["wheelbase"].ten_seconds.travelled_m, rel=0.5)
-
-
-def test_effects_that_nobody_measured_matter(learned):
-    assert not learned.is_negligible("wheel_scale")
-    assert contributions(learned.fit.refit([])) == {}
 
 
 CREEP = 0.03

@@ -62,11 +62,6 @@ def test_a_push_is_reported_with_its_time_place_and_size():
         assert event.place_xy == pytest.approx((at[0], at[1]), abs=0.02)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_noise_holds_no_event(seed):
-    assert events_of(pushed(seed)) == []
-
-
 def test_a_truth_that_jumps_and_comes_back_is_no_event():
     run = pushed(3)
     truth = run.truth.xyt.copy()
@@ -88,9 +83,10 @@ def test_a_push_while_the_truth_saw_nothing_is_reported_by_the_gap():
     assert np.degrees(event.yaw_rad) == pytest.approx(-16.0, abs=3.0)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_gap_of_the_truth_by_itself_is_no_event(seed):
-    assert events_of(hidden_from_the_truth(pushed(seed))) == []
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_and_a_gap_of_the_truth_by_itself_hold_no_event(seed):
+    run = pushed(seed)
+    assert events_of(run) == events_of(hidden_from_the_truth(run)) == []
 
 
 def test_a_push_is_one_event_and_no_evidence_for_noise():
@@ -192,14 +188,6 @@ def test_a_truth_that_is_elsewhere_for_seconds_and_comes_back_is_no_noise_of_the
     assert slip_bursts(hit) is None
 
 
-@pytest.mark.parametrize("too_far", [False, True])
-def test_a_process_that_drifts_further_than_the_recordings_has_even_odds_at_most(too_far):
-    fitted = SimpleNamespace(problem=SimpleNamespace(recordings=()))
-    learned = SimpleNamespace(held_out={}, left_nats=0.0, steps=[], drifts_too_far=too_far, fit=fitted)
-    walk = DetectedRandomEffect(effect_from_values("gyro_bias_walk", {"density": 1e-3}), 500.0)
-    assert (confidence(noise_support(walk, learned)) > 0.5) != too_far
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("cause", "yaw_from", "seed"),
@@ -225,13 +213,24 @@ def test_ticks_are_seen_whatever_tells_the_heading(yaw_from):
     assert encoder_effects(as_recording(simulate(310, None, yaw_from=yaw_from, duration_s=120.0))) == []
 
 
-@pytest.mark.parametrize(("channel", "own_scale"), [("along", True), ("along", False), ("yaw", True)])
-def test_a_varying_gain_of_travel_may_be_a_varying_scale_of_the_truth(channel, own_scale):
+@pytest.mark.parametrize(
+    ("name", "values", "own_scale", "too_far", "likely"),
+    [
+        ("gyro_bias_walk", {"density": 1e-3}, False, False, True),
+        ("gyro_bias_walk", {"density": 1e-3}, False, True, False),
+        ("gauss_markov", {"sigma": 0.01, "channel": "along"}, True, False, False),
+        ("gauss_markov", {"sigma": 0.01, "channel": "along"}, False, False, True),
+        ("gauss_markov", {"sigma": 0.01, "channel": "yaw"}, True, False, True),
+    ],
+)
+def test_drifts_beyond_the_recordings_and_varying_scales_of_travel_beside_such_a_truth_have_even_odds_at_most(
+    name, values, own_scale, too_far, likely
+):
     run = SimpleNamespace(own_scale=own_scale, yaw_dead_band_radps=0.0)
     fitted = SimpleNamespace(problem=SimpleNamespace(recordings=(run,)))
-    learned = SimpleNamespace(held_out={}, left_nats=0.0, steps=[], drifts_too_far=False, fit=fitted)
-    gain = DetectedRandomEffect(effect_from_values("gauss_markov", {"sigma": 0.01, "channel": channel}), 500.0)
-    assert (confidence(noise_support(gain, learned)) > 0.5) != (own_scale and channel == "along")
+    learned = SimpleNamespace(held_out={}, left_nats=0.0, steps=[], drifts_too_far=too_far, fit=fitted)
+    process = DetectedRandomEffect(effect_from_values(name, values), 500.0)
+    assert (confidence(noise_support(process, learned)) > 0.5) == likely
 
 
 CALM = Coefficients(0.006, 0.003, 0.004, 0.0)
@@ -257,11 +256,6 @@ def plain():
     return fit([four_minutes()], approach=Approach())
 
 
-@pytest.fixture(scope="module")
-def slipped():
-    return fit([four_minutes((20, 60, 100, 140, 180, 220))], approach=Approach())
-
-
 def test_a_model_that_holds_reproduces_the_drift_it_was_learned_from(plain):
     one = reproduction_of(plain, model_of(plain))
     assert one.holds
@@ -269,7 +263,8 @@ def test_a_model_that_holds_reproduces_the_drift_it_was_learned_from(plain):
     assert reproduction_sentence(one) == ""
 
 
-def test_slips_that_a_robust_fit_left_out_are_missed(slipped):
+def test_slips_that_a_robust_fit_left_out_are_missed():
+    slipped = fit([four_minutes((20, 60, 100, 140, 180, 220))], approach=Approach())
     one = reproduction_of(slipped, model_of(slipped))
     assert one.too_small
     assert one.outliers == 6

@@ -165,18 +165,10 @@ def run_of(seed, *, truth_m, truth_rad, offset_s=0.0, frame=(0.0, 0.0, 0.0), sec
     return replace(run, odometry=late, truth=truth, origin_ns=int(late.stamps_ns[0]))
 
 
-@pytest.fixture(scope="module")
-def good():
-    return run_of(1, truth_m=0.002, truth_rad=0.002, offset_s=0.04)
-
-
-@pytest.fixture(scope="module")
-def coarse():
-    return run_of(2, truth_m=0.04, truth_rad=0.03, offset_s=-0.6, frame=(30.0, -12.0, 2.0))
-
-
 @pytest.mark.slow
-def test_a_coarse_truth_beside_a_good_one_neither_adds_noise_to_the_robot_nor_takes_its_information(good, coarse):
+def test_a_coarse_truth_beside_a_good_one_neither_adds_noise_to_the_robot_nor_takes_its_information():
+    good = run_of(1, truth_m=0.002, truth_rad=0.002, offset_s=0.04)
+    coarse = run_of(2, truth_m=0.04, truth_rad=0.03, offset_s=-0.6, frame=(30.0, -12.0, 2.0))
     effects = [effect_from_values(name, {}) for name in ("wheel_scale", "wheelbase")]
     alone, both = (fit_robot(runs, effects, law_name="diffusion") for runs in ([good], [good, coarse]))
     assert both.clocks.clocks[0].offset_s == pytest.approx(0.04, abs=0.005)

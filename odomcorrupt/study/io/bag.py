@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,11 +11,11 @@ from odomcorrupt.bags.messages import gather, gather_stamps_ns, gather_status, l
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.corruption.pose_faults import W_FIRST, ComponentOrder, lacks_w
 from odomcorrupt.errors import RecordingError, TopicError
-from odomcorrupt.study.io.fixes import Fixes, resolved
+from odomcorrupt.study.io.fixes import resolved
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.se3 import headings
-from odomcorrupt.study.io.tf import EdgeReader, read_tree
-from odomcorrupt.study.io.topic_selection import EDGES, ODOMETRY, TRANSFORM, choose, named, parse_address, plain
+from odomcorrupt.study.io.tf import EdgeReader
+from odomcorrupt.study.io.topic_selection import ODOMETRY, TRANSFORM, choose, named, parse_address, plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import Block, Channel
+    from odomcorrupt.bags.messages import Layout
     from odomcorrupt.study.io.topic_selection import Address, Role
 
 _ENCODINGS = ("cdr", "ros1")
@@ -60,12 +62,14 @@ def read_bag(path: Path, place: str, wanted: Mapping[Role, str | None]) -> dict[
                 chosen = choose(channels, place, role, {c.topic for c in channels if plain(c.topic) in taken})
                 taken.append(plain(chosen[0].topic))
             if address is not None and address.frames:
-                readers[role] = _edge_reader(path, place, address, chosen, channels)
+                readers[role] = EdgeReader(path, place, address, chosen, channels)
             else:
                 readers[role] = _PoseReader(place, chosen)
         for block in reader.blocks():
             for one in readers.values():
-                one.take(block)
+                for channel in one.channels:
+                    for layout in locate(block, channel):
+                        one.take(block, layout)
     return {role: one.samples() for role, one in readers.items()}
 
 
@@ -79,20 +83,6 @@ def _require_two(channels: list[Channel], addresses: Mapping[Role, Address | Non
         raise TopicError(f"{place}: --truth {truth.topic} is the odometry itself, and a topic cannot be its own truth")
 
 
-def _edge_reader(
-    path: Path, place: str, address: Address, moving: list[Channel], channels: list[Channel]
-) -> EdgeReader:
-    wanted = plain(address.static)
-    beside = plain(address.topic).rpartition("/")[0]
-    names = {wanted} if wanted else {f"{beside}/tf_static" if beside else "tf_static", "tf_static"}
-    static = [c for c in channels if c.msgtype in EDGES and plain(c.topic) in names and c not in moving]
-    if wanted and not static:
-        raise TopicError(f"{place}: no topic {address.static} with transforms; leave it out of {address}")
-    with open_reader(path) as reader:
-        tree = read_tree(reader, moving, static)
-    return EdgeReader(place, address, [*moving, *static], tree)
-
-
 class _PoseReader:
     """Collector of one topic's poses, block by block."""
 
@@ -104,32 +94,27 @@ class _PoseReader:
         self.order = ComponentOrder()
         self.no_w = 0
 
-    def take(self, block: Block) -> None:
-        """Append the topic's poses in a block."""
-        for channel in self.channels:
-            for layout in locate(block, channel):
-                item = layout.items[0]
-                n = len(layout.rows)
-                names = (item.frame_id, item.child_frame_id)
-                self.frames[names] = self.frames.get(names, 0) + n
-                values = np.full((n, 6), np.nan)
-                where = "lla" if "lla" in item.fields else "position"
-                values[:, :3] = gather(block, layout, item, where)
-                if "orientation" in item.fields:
-                    quat_xyzw = gather(block, layout, item, "orientation")
-                    self.order.take(values[:, :3], quat_xyzw)
-                    self.no_w += lacks_w(quat_xyzw)
-                    values[:, 3] = headings(quat_xyzw)
-                if "pose_covariance" in item.fields:
-                    covariance = gather(block, layout, item, "pose_covariance")
-                    values[:, 4] = covariance[:, [0, 7]].clip(-_MAX_M2, _MAX_M2).sum(axis=1)
-                if "covariance" in item.fields:  # of a satellite fix; 0 if the receiver reports none
-                    covariance = gather(block, layout, item, "covariance")
-                    values[:, 4] = covariance[:, [0, 4]].clip(0.0, _MAX_M2).sum(axis=1)
-                    values[:, 5] = gather_status(block, layout, item)
-                self.parts.append(
-                    (gather_stamps_ns(block, layout, item), block.table["log_ns"][layout.rows].astype(np.int64), values)
-                )
+    def take(self, block: Block, layout: Layout) -> None:
+        """Append the poses of messages of a block."""
+        item = layout.items[0]
+        names = (item.frame_id, item.child_frame_id)
+        self.frames[names] = self.frames.get(names, 0) + len(layout.rows)
+        values = np.full((len(layout.rows), 6), np.nan)
+        values[:, :3] = gather(block, layout, item, "lla" if "lla" in item.fields else "position")
+        if "orientation" in item.fields:
+            quat_xyzw = gather(block, layout, item, "orientation")
+            self.order.take(values[:, :3], quat_xyzw)
+            self.no_w += lacks_w(quat_xyzw)
+            values[:, 3] = headings(quat_xyzw)
+        if "pose_covariance" in item.fields:
+            covariance = gather(block, layout, item, "pose_covariance")
+            values[:, 4] = covariance[:, [0, 7]].clip(-_MAX_M2, _MAX_M2).sum(axis=1)
+        if "covariance" in item.fields:  # of a satellite fix; 0 if the receiver reports none
+            covariance = gather(block, layout, item, "covariance")
+            values[:, 4] = covariance[:, [0, 4]].clip(0.0, _MAX_M2).sum(axis=1)
+            values[:, 5] = gather_status(block, layout, item)
+        logs_ns = block.table["log_ns"][layout.rows].astype(np.int64)
+        self.parts.append((gather_stamps_ns(block, layout, item), logs_ns, values))
 
     def samples(self) -> Samples:
         """Return the poses in order of arrival."""
@@ -145,19 +130,12 @@ class _PoseReader:
         # A block's layouts are read one after the other: restore the order of arrival.
         arrived = np.argsort(logs, kind="stable")
         stamps, logs, values = stamps[arrived], logs[arrived], values[arrived]
-        notes, origin = [], None
-        if self.channels[0].msgtype.endswith("NavSatFix"):
-            at_ns = stamps if stamps.any() else logs
-            good = resolved(Fixes(at_ns, values[:, :3], values[:, 5].astype(np.int8), values[:, 4]))
-            stamps, logs, values, origin = stamps[good.rows], logs[good.rows], values[good.rows], good.origin
-            values[:, :3] = good.xyz
-            notes += [f"{topic}: {note}" for note in good.notes]
+        notes = []
         if len(self.frames) > 1 and len(children) == 1:
             named_frames = ", ".join(repr(f) for f, _ in sorted(self.frames))
             notes.append(f"{topic}: frames {named_frames} mixed; taken as one")
         frame, child = max(self.frames, key=lambda names: self.frames[names]) if self.frames else ("", "")
-        claimed = values[:, 4]
-        return Samples(
+        found = Samples(
             self.place,
             topic,
             plain(frame),
@@ -165,10 +143,12 @@ class _PoseReader:
             values[:, :3],
             values[:, 3],
             logs,
-            claimed if np.isfinite(claimed).all() else claimed[:0],
+            values[:, 4],
             tuple(notes),
             child=plain(child),
-            geodetic_origin=origin,
             estimated=self.channels[0].msgtype.endswith("/Odometry"),
             no_w=self.no_w > len(stamps) / 2,
         )
+        if self.channels[0].msgtype.endswith("NavSatFix"):
+            found = resolved(found, values[:, 5].astype(np.int8))
+        return found if np.isfinite(found.variance_m2).all() else replace(found, variance_m2=np.zeros(0))

@@ -182,20 +182,13 @@ def thinned(recordings: Sequence[Recording]) -> list[Recording]:
     found = []
     for recording in recordings:
         odometry = recording.odometry
-        every = int(_PERIOD_S * (1.0 + _JITTER) * _rate_hz(odometry))
+        period_s = 1e-9 * float(np.median(np.diff(odometry.stamps_ns)))
+        every = int(_PERIOD_S * (1.0 + _JITTER) / period_s)
         lost = any(effect.name != "quantization" for effect in encoder_effects(recording)) if every > 1 else False
         if every < 2 or lost or speeds_in_steps(recording):
             found.append(recording)
             continue
         few = known.setdefault(id(odometry), odometry.only(slice(None, None, every)))
-        said = f"odometry at {_rate_hz(odometry):.0f} Hz: one pose of {every} is used"
+        said = f"odometry at {1.0 / period_s:.0f} Hz: one pose of {every} is used"
         found.append(replace(recording.with_odometry(few), notes=(*recording.notes, said)))
     return found
-
-
-def _rate_hz(odometry: Trajectory) -> float:
-    """Return the usual message rate, Hz; 0 if most stamps are equal."""
-    if len(odometry) < 2:
-        return 0.0
-    period_s = 1e-9 * float(np.median(np.diff(odometry.stamps_ns)))
-    return 1.0 / period_s if period_s > 0.0 else 0.0

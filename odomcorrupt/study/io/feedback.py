@@ -182,8 +182,8 @@ def _aligned(odometry: Samples, truth: Samples) -> _Aligned | None:
         return None
     real, path = truth.trajectory(), odometry.trajectory()
     origin = int(odometry.stamps_ns[0])
-    real_s, own_s = real.seconds_since(origin), path.seconds_since(origin)
-    inside = np.flatnonzero((real_s >= own_s[0]) & (real_s <= own_s[-1]))
+    real_s = real.seconds_since(origin)
+    inside = np.flatnonzero(truth.within(odometry))
     if len(inside) < _FEW:
         return None
     grid = np.arange(real_s[inside[0]], real_s[inside[-1]], _STEP_S)

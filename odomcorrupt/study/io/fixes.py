@@ -14,13 +14,14 @@ and north.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import Origin
+from odomcorrupt.study.io.raw_trajectory import runs_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -40,62 +41,33 @@ _OUTAGE_S, _OUTAGE_STEPS = 2.0, 5.0  # an outage is longer than both: seconds, a
 NO_FIX, UNKNOWN = -1, -2
 
 
-class Fixes(NamedTuple):
-    """Fixes of a receiver, n messages sorted by stamp.
+def resolved(fixes: Samples, status: NDArray[np.int8]) -> Samples:
+    """Return the positions of the resolved fixes, or of all fixes if 30 % or fewer are resolved.
 
-    stamps_ns : (n,) nanoseconds
-    lla : (n, 3) latitude and longitude in degrees, height in metres
+    fixes : n samples with latitude and longitude in degrees and height in metres as xyz, variances 0 or NaN if the
+        receiver reports none
     status : (n,) values of NavSatStatus
-    variance_m2 : (n,) east plus north; 0 or NaN if the receiver reports none
     """
-
-    stamps_ns: NDArray[np.int64]
-    lla: Array
-    status: NDArray[np.int8]
-    variance_m2: Array
-
-
-class Resolved(NamedTuple):
-    """Positions of the fixes with resolved ambiguities.
-
-    rows : (k,) indices of these fixes
-    xyz : (k, 3) metres east, north and up of the first one
-    origin : geodetic origin of xyz, None if there is no fix
-    notes : descriptions of the fixes left out, for reports
-    """
-
-    rows: NDArray[np.int64]
-    xyz: Array
-    origin: Origin | None
-    notes: tuple[str, ...]
-
-
-def resolved(fixes: Fixes) -> Resolved:
-    """Return the positions of the resolved fixes, or of all fixes if 30 % or fewer are resolved."""
-    notes: list[str] = []
-    there = np.isfinite(fixes.lla[:, :2]).all(axis=1) & (fixes.lla[:, :2] != 0.0).any(axis=1)
-    there &= fixes.status != NO_FIX
-    if not there.all():
-        notes.append(f"{np.sum(~there)} messages without a fix left out")
-    rows = np.flatnonzero(there)
-    if not len(rows):
-        return Resolved(rows, np.zeros((0, 3)), None, tuple(notes))
-    stamps_s = (fixes.stamps_ns[rows] - fixes.stamps_ns[rows[0]]).astype(np.float64) * 1e-9
-    poor = _poor(fixes.status[rows], fixes.variance_m2[rows])
+    there = np.isfinite(fixes.xyz[:, :2]).all(axis=1) & (fixes.xyz[:, :2] != 0.0).any(axis=1) & (status != NO_FIX)
+    missing = np.sum(~there)
+    fixes = fixes.only(there, *([f"{missing} messages without a fix left out"] if missing else []))
+    if not len(fixes):
+        return fixes
+    stamps_s = fixes.t_s if fixes.stamps_ns.any() else (fixes.log_ns - fixes.log_ns[0]).astype(np.float64) * 1e-9
+    poor = _poor(status[there], fixes.variance_m2)
     if np.mean(~poor) > _MIN_GOOD:
         poor = _joined(stamps_s, poor)
     good_share = float(np.mean(~poor))
     if good_share > _MIN_GOOD:
-        notes += _episodes(stamps_s, poor)
-        rows = rows[~poor]
+        fixes = fixes.only(~poor, *_episodes(stamps_s, poor))
     elif poor.any():
-        notes.append(
+        fixes = fixes.noted(
             f"only {good_share:.0%} of its fixes are as good as the best (the others: float or single, by their status "
             "or covariance), so that all are used: a truth of decimetres; effects smaller than that cannot be seen"
         )
-    notes += _outages(stamps_s)
-    notes.append("metres east and north of its first fix")
-    return Resolved(rows, east_north_up(fixes.lla[rows]), origin_of(fixes.lla[rows[0]]), tuple(notes))
+    first = Origin(*np.nan_to_num(fixes.xyz[0]).tolist())
+    placed = replace(fixes, xyz=east_north_up(fixes.xyz), geodetic_origin=first)
+    return placed.noted(*_outages(stamps_s), "metres east and north of its first fix")
 
 
 def without_float_episodes(truth: Samples) -> Samples:
@@ -122,7 +94,7 @@ def _poor(status: NDArray[np.int8], variance_m2: Array) -> NDArray[np.bool_]:
     if np.any(claimed & ~poor):
         best = float(np.quantile(variance_m2[claimed & ~poor], _BEST_QUANTILE))
         poor |= claimed & (variance_m2 > FLOAT_TIMES**2 * best)
-        for first, last in _runs(poor | (claimed & (variance_m2 > _SETTLED_TIMES**2 * best))):
+        for first, last in runs_of(poor | (claimed & (variance_m2 > _SETTLED_TIMES**2 * best))):
             poor[first:last] |= poor[first:last].any()
     return poor
 
@@ -130,7 +102,7 @@ def _poor(status: NDArray[np.int8], variance_m2: Array) -> NDArray[np.bool_]:
 def _joined(stamps_s: Array, poor: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the mask with short stretches of good fixes between two poor ones counted as poor."""
     joined = poor.copy()
-    for first, last in _runs(~poor):
+    for first, last in runs_of(~poor):
         inside = first > 0 and last < len(poor)
         if inside and stamps_s[last] - stamps_s[first - 1] < _ISLAND_S:
             joined[first:last] = True
@@ -138,7 +110,7 @@ def _joined(stamps_s: Array, poor: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _episodes(stamps_s: Array, poor: NDArray[np.bool_]) -> list[str]:
-    episodes = _runs(poor)
+    episodes = runs_of(poor)
     if not episodes:
         return []
     seconds = sum(float(stamps_s[min(last, len(poor) - 1)] - stamps_s[first]) for first, last in episodes)
@@ -150,18 +122,10 @@ def _episodes(stamps_s: Array, poor: NDArray[np.bool_]) -> list[str]:
 
 def _outages(stamps_s: Array) -> list[str]:
     steps = np.diff(stamps_s)
-    if not len(steps):
-        return []
-    out = steps[steps > max(_OUTAGE_S, _OUTAGE_STEPS * float(np.median(steps)))]
+    out = steps[steps > max(_OUTAGE_S, _OUTAGE_STEPS * float(np.median(steps)))] if len(steps) else steps
     if not len(out):
         return []
     return [f"{len(out)} {'outage' if len(out) == 1 else 'outages'}, {out.sum():.0f} s without any fix"]
-
-
-def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the stretches of a mask (n,) that are true, as half-open index ranges."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 _A_M = 6378137.0
@@ -169,12 +133,6 @@ _A_M = 6378137.0
 _F = 1.0 / 298.257223563
 """Flattening of WGS 84."""
 _E2 = _F * (2.0 - _F)
-
-
-def origin_of(lla: Array) -> Origin:
-    """Return a fix (3,) as an origin; a height that is not finite counts as 0."""
-    latitude, longitude, height = np.nan_to_num(lla).tolist()
-    return Origin(latitude, longitude, height)
 
 
 def east_north_up(lla: Array) -> Array:
@@ -226,11 +184,5 @@ def _earth_centred(lla: Array) -> Array:
     height = np.nan_to_num(lla[:, 2], nan=0.0)
     sin_lat, cos_lat, sin_lon, cos_lon = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
     normal = _A_M / np.sqrt(1.0 - _E2 * sin_lat**2)
-    return np.stack(
-        (
-            (normal + height) * cos_lat * cos_lon,
-            (normal + height) * cos_lat * sin_lon,
-            (normal * (1.0 - _E2) + height) * sin_lat,
-        ),
-        axis=1,
-    )
+    from_axis = (normal + height) * cos_lat
+    return np.column_stack((from_axis * cos_lon, from_axis * sin_lon, (normal * (1.0 - _E2) + height) * sin_lat))

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
+from odomcorrupt.bags.messages import gather, gather_stamps_ns
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError, TopicError
-from odomcorrupt.geometry.se2 import rotate
-from odomcorrupt.geometry.trajectory import distance_along
+from odomcorrupt.geometry.se2 import accumulate, increments
+from odomcorrupt.geometry.trajectory import Trajectory, distance_along
 from odomcorrupt.study.io.raw_trajectory import FEWEST, REPORTED_LAG_S, Samples
-from odomcorrupt.study.io.topic_selection import near, plain
+from odomcorrupt.study.io.topic_selection import located, near, plain
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -108,13 +108,11 @@ def read_gyro(path: Path, place: str, topic: str) -> Gyro:
         if not channels:
             there = near(topic, (c.topic for c in reader.channels.values() if c.msgtype == IMU))
             raise TopicError(f"{place}: no Imu on {topic} ({there}); name another with --imu")
-        for block in reader.blocks():
-            for channel in channels:
-                for layout in locate(block, channel):
-                    item = layout.items[0]
-                    logs = block.table["log_ns"][layout.rows].astype(np.int64)
-                    stamps = gather_stamps_ns(block, layout, item)
-                    parts.append((stamps, logs, gather(block, layout, item, "angular_velocity")))
+        for block, _, layout in located(reader, channels):
+            item = layout.items[0]
+            logs = block.table["log_ns"][layout.rows].astype(np.int64)
+            stamps = gather_stamps_ns(block, layout, item)
+            parts.append((stamps, logs, gather(block, layout, item, "angular_velocity")))
     empty = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)))
     stamps, logs, rates = (np.concatenate(part) for part in zip(empty, *parts, strict=True))
     stamps = stamps if stamps.any() else logs
@@ -213,32 +211,18 @@ def gyro_truth(odometry: Samples, gyro: YawGyro) -> Samples:
             "truth or a laser (--truth, --scan)"
         )
     inside = (odometry.stamps_ns >= gyro.stamps_ns[0]) & (odometry.stamps_ns <= gyro.stamps_ns[-1])
-    kept = odometry.only(inside)
-    heading = np.unwrap(kept.yaw_rad)
+    kept = odometry.only(inside).trajectory()
     theirs = gyro.heading_at(kept.stamps_ns)
-    middle = 0.5 * (heading[1:] + heading[:-1])
-    body = rotate(np.diff(kept.xyz[:, :2], axis=0), -middle)
-    step = rotate(body, 0.5 * (theirs[1:] + theirs[:-1]))
-    xy = np.concatenate((np.zeros((1, 2)), np.cumsum(step, axis=0)))
+    steps = replace(increments(kept.xyt), dtheta_rad=np.diff(theirs))
+    travelled = Trajectory(kept.stamps_ns, accumulate(np.array([0.0, 0.0, theirs[0]]), steps))
     rate_hz = 1e9 / float(np.median(np.diff(gyro.stamps_ns)))
-    every = max(1, round(rate_hz / _MAX_HZ))
-    stamps = gyro.stamps_ns[::every]
+    stamps = gyro.stamps_ns[:: max(1, round(rate_hz / _MAX_HZ))]
     stamps = stamps[(stamps >= kept.stamps_ns[0]) & (stamps <= kept.stamps_ns[-1])]
     origin = int(kept.stamps_ns[0])
-    at, own = (stamps - origin) * 1e-9, kept.seconds_since(origin)
-    xyz = np.column_stack([*(np.interp(at, own, xy[:, i]) for i in (0, 1)), np.zeros(len(at))])
+    xyt = travelled.at((stamps - origin) * 1e-9, origin)
     covariance = np.broadcast_to(np.diag([_UNKNOWN_M2, _UNKNOWN_M2, 1.0]), (len(stamps), 3, 3))
-    return Samples(
-        place=gyro.place,
-        name=gyro.topic,
-        frame="",
-        stamps_ns=stamps,
-        xyz=xyz,
-        yaw_rad=gyro.heading_at(stamps),
-        notes=gyro.notes,
-        covariance=covariance,
-        relative=True,
-    )
+    xyt[:, 2] = gyro.heading_at(stamps)
+    return Samples.planar(gyro.place, gyro.topic, stamps, xyt, notes=gyro.notes, covariance=covariance, relative=True)
 
 
 def _rate_on(t_s: Array, angle: Array, grid: Array) -> Array:
@@ -262,11 +246,10 @@ def _lagged(own_s: Array, angles: Array, grid: Array, turned: Array) -> tuple[fl
         return float(fitted @ turned) / max(float(np.linalg.norm(fitted) * np.linalg.norm(turned)), 1e-12), solution
 
     resting = np.abs(turned) < _STILL_RADPS
-    lags = np.arange(-_MAX_LAG_S, _MAX_LAG_S + 1e-9, 0.05)
-    lag = float(lags[int(np.argmax([fit_at(float(one))[0] for one in lags]))])
-    for step in (0.01, 0.002):
-        near_it = lag + step * np.arange(-6, 7)
-        lag = float(near_it[int(np.argmax([fit_at(float(one))[0] for one in near_it]))])
+    lag = 0.0
+    for step, reach in ((0.05, _MAX_LAG_S), (0.01, 0.06), (0.002, 0.012)):
+        count = round(reach / step)
+        lag = max((lag + step * np.arange(-count, count + 1)).tolist(), key=lambda one: fit_at(one)[0])
     corr, solution = fit_at(lag)
     return lag, solution, corr
 

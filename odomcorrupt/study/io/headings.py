@@ -63,18 +63,15 @@ class Alignment(NamedTuple):
         return total[self.last] - total[self.first]
 
 
-def alignment(recording: Recording) -> Alignment:
-    """Return the positions aligned around each truth sample."""
-    return _alignment(recording, _odometry_at_truth(recording))
-
-
 def _odometry_at_truth(recording: Recording) -> Array:
     """Return the odometry's poses (t, 3) at the truth's samples; its first or last pose outside its time."""
     first_s, last_s = recording.odometry_s[[0, -1]]
     return recording.odometry.at(np.clip(recording.truth_s, first_s, last_s), recording.origin_ns)
 
 
-def _alignment(recording: Recording, odometry: Array) -> Alignment:
+def alignment(recording: Recording) -> Alignment:
+    """Return the positions aligned around each truth sample."""
+    odometry = _odometry_at_truth(recording)
     truth = recording.truth
     inside = recording.within_odometry
     q = (odometry[:, 0] + 1j * odometry[:, 1]) * inside
@@ -94,13 +91,14 @@ def _alignment(recording: Recording, odometry: Array) -> Alignment:
 
 def _headed(recording: Recording) -> Recording:
     truth, truth_s = recording.truth, recording.truth_s
-    odometry = _odometry_at_truth(recording)
-    a = _alignment(recording, odometry)
+    a = alignment(recording)
     count = np.maximum(a.sums(a.inside.astype(np.float64)), 1.0)
     mean_p = a.sums(a.p) / count
     cross = a.sums(np.conj(a.q) * a.p) - count * np.conj(a.mean_q) * mean_p
     spread_p = a.sums(np.abs(a.p) ** 2) - count * np.abs(mean_p) ** 2
-    heading = odometry[:, 2] + np.interp(truth_s, truth_s[a.known], np.unwrap(np.angle(cross[a.known])))
+    heading = _odometry_at_truth(recording)[:, 2] + np.interp(
+        truth_s, truth_s[a.known], np.unwrap(np.angle(cross[a.known]))
+    )
     unexplained = np.maximum(spread_p + a.spread_q - 2.0 * np.abs(cross), 0.0)
     error = float(np.sqrt(np.median(unexplained / np.maximum(a.spread_q, 1e-9))))
     xyt = np.concatenate((truth.xyt[:, :2], heading[:, None]), axis=1)

@@ -21,10 +21,9 @@ import numpy as np
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import rotate, wrap
 from odomcorrupt.geometry.trajectory import distance_along
+from odomcorrupt.study.io.raw_trajectory import runs_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
@@ -103,13 +102,11 @@ def stretches(path: Samples, reach: Reach) -> Stretches:
         If more than 20 % of the steps are jumps.
     """
     t_s = path.t_s
-    xy, yaw = path.xyz[:, :2], np.where(np.isnan(path.yaw_rad), 0.0, path.yaw_rad)
+    xyt = np.column_stack((path.xyz[:, :2], np.nan_to_num(path.yaw_rad)))
 
-    def far(a: NDArray[np.int64] | int, b: NDArray[np.int64] | int) -> NDArray[np.bool_]:
-        dt = np.abs(t_s[b] - t_s[a])
-        gone = np.linalg.norm(xy[b] - xy[a], axis=-1)
-        turned = np.abs(wrap(np.asarray(yaw[b] - yaw[a])))
-        return (gone > reach.rate[0] * dt + reach.slack[0]) | (turned > reach.rate[1] * dt + reach.slack[1])
+    def far(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.bool_]:
+        dt = np.abs(t_s[b] - t_s[a])[..., None]
+        return np.asarray((_apart(xyt[a], xyt[b]) > reach.rate * dt + reach.slack).any(axis=-1))
 
     every = np.arange(len(path))
     jump = far(every[:-1], every[1:])
@@ -119,15 +116,15 @@ def stretches(path: Samples, reach: Reach) -> Stretches:
             "go: several robots or publishers on one topic, or no path at all; name another one"
         )
     least = reach.noise if path.headed else np.maximum(_FIX_SIGMAS / _SIGMAS * reach.noise, _SPIKE)
-    rows = without_spikes(t_s, np.column_stack((xy, yaw)), reach.top, least)
+    rows = without_spikes(t_s, xyt, reach.top, least)
     pieces = np.split(rows, np.flatnonzero(far(rows[:-1], rows[1:])) + 1)
     main = int(np.argmax([len(p) for p in pieces]))
     groups, outliers = [[pieces[main]]], len(path) - len(rows)
     for ordered, end, begin, at in ((pieces[main + 1 :], -1, 0, -1), (pieces[:main][::-1], 0, -1, 0)):
         for whole in ordered:
-            groups[at][at], piece, spikes = _apart_from_spikes(xy, groups[at][at], whole, later=bool(at))
+            groups[at][at], piece, spikes = _apart_from_spikes(xyt, groups[at][at], whole, later=bool(at))
             last, outliers = groups[at][at], outliers + spikes
-            if not far(int(last[end]), int(piece[begin])):
+            if not far(last[end], piece[begin]):
                 groups[at].insert(len(groups[at]) if at else 0, piece)
             elif t_s[piece[-1]] - t_s[piece[0]] >= OUTLIER_S:
                 groups.insert(len(groups) if at else 0, [piece])
@@ -137,7 +134,7 @@ def stretches(path: Samples, reach: Reach) -> Stretches:
 
 
 def _apart_from_spikes(
-    xy: Array, kept: NDArray[np.int64], piece: NDArray[np.int64], *, later: bool
+    xyt: Array, kept: NDArray[np.int64], piece: NDArray[np.int64], *, later: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
     """Return two neighbouring pieces without a spike where they meet, and its number of poses.
 
@@ -145,15 +142,15 @@ def _apart_from_spikes(
     """
     way = 1 if later else -1
     inner, outer = kept[::-way], piece[::way]  # both from where they meet
-    spikes = [_spike_at(xy, inner, int(outer[0])), 0]
+    spikes = [_spike_at(xyt[inner], xyt[outer[0]]), 0]
     inner = inner[spikes[0] :]
-    spikes[1] = _spike_at(xy, outer, int(inner[0]))
+    spikes[1] = _spike_at(xyt[outer], xyt[inner[0]])
     return inner[::-way], outer[spikes[1] :][::way], sum(spikes)
 
 
-def _spike_at(xy: Array, piece: NDArray[np.int64], other: int) -> int:
-    """Return the number of poses with which a piece begins before it comes back to another pose."""
-    away = np.linalg.norm(xy[piece[: LONGEST + 1]] - xy[other], axis=1)
+def _spike_at(piece_xyt: Array, other_xyt: Array) -> int:
+    """Return the number of poses with which a piece (n, 3) begins before it comes back to another pose (3,)."""
+    away = _apart(piece_xyt[: LONGEST + 1], other_xyt)[:, 0]
     back = np.flatnonzero(away[1:] < _MAX_LEFT * away[0])
     return int(back[0]) + 1 if len(back) else 0
 
@@ -226,9 +223,9 @@ def _spikes(
 
 
 def _apart(a_xyt: Array, b_xyt: Array) -> Array:
-    """Return the distances (n, 2) between poses (n, 3), m and rad."""
-    gone = np.linalg.norm(b_xyt[:, :2] - a_xyt[:, :2], axis=1)
-    return np.stack((gone, np.abs(wrap(b_xyt[:, 2] - a_xyt[:, 2]))), axis=1)
+    """Return the distances (..., 2) between poses (..., 3), m and rad."""
+    moved = b_xyt - a_xyt
+    return np.stack((np.linalg.norm(moved[..., :2], axis=-1), np.abs(wrap(moved[..., 2]))), axis=-1)
 
 
 def _off(a_xyt: Array, xyt: Array, b_xyt: Array) -> Array:
@@ -272,7 +269,7 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     whole, truth = truth, truth if truth.localised else without_outliers(truth)
     t_s = truth.seconds_since(int(odometry.stamps_ns[0]))
     own_s = odometry.t_s
-    inside = np.flatnonzero((t_s >= own_s[0]) & (t_s <= own_s[-1]))
+    inside = np.flatnonzero(truth.within(odometry))
     if len(inside) < _MIN_POSES:
         return whole
     apart = np.zeros((len(truth), 2))
@@ -282,8 +279,7 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     out, near = far.any(axis=1), (apart > np.maximum(_STILL_SIGMAS * usual, _MIN_APART)).any(axis=1)
     reach = reach_of(odometry, truth)
     # An excursion includes its way out and back, and interruptions by noise.
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], near.astype(np.int8), [0]))))
-    for first, end in edges.reshape(-1, 2):
+    for first, end in runs_of(near):
         begin, after = first - inside[0], end - inside[0]
         if truth.localised:
             back = bool((_returns(t_s[inside], difference, begin, after) | ~far[first:end].any(axis=0)).all())
@@ -312,13 +308,10 @@ def _is_sudden(reach: Reach, t_s: Array, difference: Array, first: int, end: int
     if first < 1 or end >= len(t_s):
         return False
 
-    def apart(one: Sequence[int], other: Sequence[int]) -> Array:
-        moved = difference[one] - difference[other]
-        return np.stack((np.linalg.norm(moved[:, :2], axis=1), np.abs(moved[:, 2])), axis=1)
-
     slack = reach.noise + reach.top * (t_s[[first, end]] - t_s[[first - 1, end - 1]])[:, None]
-    largest = apart(range(first, end), [first - 1]).max(axis=0)
-    steps, stays = apart([first, end], [first - 1, end - 1]), apart([end], [first - 1])
+    largest = _apart(difference[first - 1], difference[first:end]).max(axis=0)
+    steps = _apart(difference[[first - 1, end - 1]], difference[[first, end]])
+    stays = _apart(difference[first - 1], difference[end])
     return bool((steps > slack).any() and (stays < np.maximum(_MAX_LEFT * largest, _MIN_APART)).all())
 
 

@@ -85,13 +85,10 @@ def laser_run(
 def end_seen(path: Path, place: str, odom: str | None, scan: str) -> Array:
     """Return the end pose (3,) of a drive relative to its start, m and rad, from its first and last scans.
 
-    place : name of the bag in messages
-    odom, scan : odometry topic or TF edge (default: the only one), and topic of the scans
+    Parameters as for `laser_run`.
 
     Raises
     ------
-    TopicError
-        If a topic is missing, or the choice is ambiguous.
     RecordingError
         If the last scans do not match the first.
     """
@@ -157,19 +154,9 @@ def truth_of(run: LaserRun) -> list[Samples]:
         own = np.flatnonzero(path.part == part)
         if float(path.t_s[own[-1]] - path.t_s[own[0]]) < _LEAST_PART_S:
             continue
-        xyz = np.column_stack((path.xyt[own, :2], np.zeros(len(own))))
-        found.append(
-            Samples(
-                place=sweeps.place,
-                name=sweeps.topic,
-                frame="",
-                stamps_ns=stamps[own],
-                xyz=xyz,
-                yaw_rad=path.xyt[own, 2],
-                log_ns=sweeps.log_ns[path.row[own]],
-                covariance=path.covariance[own],
-            )
-        )
+        logs, covariance = sweeps.log_ns[path.row[own]], path.covariance[own]
+        one = Samples.planar(sweeps.place, sweeps.topic, stamps[own], path.xyt[own], log_ns=logs, covariance=covariance)
+        found.append(one)
     if not found:
         raise RecordingError(
             f"{sweeps.place}: no part of the map lasts {_LEAST_PART_S:g} s ({'; '.join(notes)}); drive slower, or name "

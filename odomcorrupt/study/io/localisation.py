@@ -75,7 +75,7 @@ def corrections_alone(odometry: Samples, truth: Samples) -> Samples:
     if len(truth) < SPARSE_HZ * truth.span_s:
         named = bool(_NAMES.search(truth.name.lower())) or _is_by_motion(odometry, truth)
         truth = replace(truth, localised=truth.localised or named)
-    inside = np.flatnonzero((truth.stamps_ns >= odometry.stamps_ns[0]) & (truth.stamps_ns <= odometry.stamps_ns[-1]))
+    inside = np.flatnonzero(truth.within(odometry))
     if len(inside) < CORRECTIONS:
         return truth
     real = np.column_stack((truth.xyz[:, :2], truth.yaw_rad))[inside]
@@ -188,7 +188,7 @@ def _is_coarse_in_map(odometry: Samples, truth: Samples) -> bool:
     name = truth.name.lower()
     if plain(truth.frame).rpartition("/")[2] != "map" or _MEASURED.search(name) or _IMAGES.search(name):
         return False
-    inside = (truth.stamps_ns >= odometry.stamps_ns[0]) & (truth.stamps_ns <= odometry.stamps_ns[-1])
+    inside = truth.within(odometry)
     if has_own_scale(truth) or not inside.any():
         return False
     own = _odometry_at(odometry, truth.stamps_ns[inside])[0]

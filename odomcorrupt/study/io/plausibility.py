@@ -8,8 +8,7 @@ most 0.4 between different drives of some minutes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +17,8 @@ from odomcorrupt.geometry.motion import slopes
 from odomcorrupt.study.io.raw_trajectory import CLOCK_S, FEWEST
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.study.io.raw_trajectory import Samples
@@ -32,28 +33,19 @@ _SIDEWAYS_RADPS = 0.03
 """Yaw rate (rad/s, root mean square) below which a robot counts as moving sideways instead of turning."""
 
 
-class Spread(NamedTuple):
-    """Standard deviations of yaw rate and of speed, and the root mean square of the speed."""
-
-    turn_radps: float
-    speed_mps: float
-    level_mps: float
-
-
 @dataclass(frozen=True, slots=True)
 class CrossCorrelation:
     """Correlations of speed and of yaw rate at each lag.
 
     lag_s : (k,) shift of the truth to later times, seconds
     speed, turn : (k,) correlations of speeds and of yaw rates, -1 to 1
-    odometry, truth : spread of speed and yaw rate in each of them
+    varies : whether the speeds or the yaw rates of both vary more than noise may
     """
 
     lag_s: Array
     speed: Array
     turn: Array
-    odometry: Spread
-    truth: Spread
+    varies: bool
 
     @property
     def both(self) -> Array:
@@ -96,19 +88,15 @@ def cross_correlation(
     count = min(round(reach_s / step), len(grid) - 1)
     turn, speed = (_correlation(one[:, i], other[:, i], count) for i in (0, 1))
     return CrossCorrelation(
-        lag_s=np.arange(-count, count + 1) * step,
-        speed=speed,
-        turn=turn,
-        odometry=_spread(one),
-        truth=_spread(other),
+        np.arange(-count, count + 1) * step, speed, turn, varies=bool((_vary(one) & _vary(other)).any())
     )
 
 
-def _spread(signals: Array) -> Spread:
-    seen = np.isfinite(signals).all(axis=1)
-    there = signals[seen] if seen.any() else np.zeros((1, 2))
-    turn, speed = there.std(axis=0).tolist()
-    return Spread(turn, speed, float(np.sqrt(np.mean(there[:, 1] ** 2))))
+def _vary(signals: Array) -> NDArray[np.bool_]:
+    """Return whether yaw rate and speed (2,) of signals (m, 2) vary more than noise may."""
+    seen = signals[np.isfinite(signals).all(axis=1)]
+    level_mps = np.sqrt(np.mean(seen[:, 1] ** 2)) if len(seen) else np.inf
+    return np.std(seen, axis=0) > (_TURNS_RADPS, max(_SPEEDS_MPS, _SPEEDS * level_mps))
 
 
 def _signals(t_s: Array, xyt: Array, grid: Array, smoothing_s: float, *, by_course: bool) -> Array:
@@ -164,8 +152,7 @@ _YEAR_S = 365.25 * _DAY_S
 def check_pair(odometry: Samples, truth: Samples) -> None:
     """Refuse odometry and truth that cannot be one run: disjoint times, or no motion."""
     _check_time(odometry, truth)
-    first, last = max(odometry.stamps_ns[0], truth.stamps_ns[0]), min(odometry.stamps_ns[-1], truth.stamps_ns[-1])
-    both = [p.only((p.stamps_ns >= first) & (p.stamps_ns <= last)) for p in (odometry, truth)]
+    both = [odometry.only(odometry.within(truth)), truth.only(truth.within(odometry))]
     for part, whole in zip(both, (odometry, truth), strict=True):
         if len(part) < FEWEST:
             raise RecordingError(
@@ -184,20 +171,14 @@ def _check_time(odometry: Samples, truth: Samples) -> None:
             raise RecordingError(
                 f"{path.place}: lasts {path.span_s:.1f} s; a study takes {SHORTEST_S:g} s, better minutes"
             )
-    apart = float(truth.stamps_ns[0] - odometry.stamps_ns[0]) * 1e-9
-    far = abs(apart)
-    size = (
-        f"{far / _YEAR_S:.1f} years"
-        if far > _YEAR_S
-        else f"{far / _DAY_S:.1f} days"
-        if far > _DAY_S
-        else f"{far:.1f} s"
-    )
+    apart_s = abs(float(truth.stamps_ns[0] - odometry.stamps_ns[0]) * 1e-9)
+    units = ((_YEAR_S, "years"), (_DAY_S, "days"), (1.0, "s"))
+    per_s, unit = next((one for one in units if apart_s > one[0]), units[-1])
     found = f"share {shared:.1f} s" if shared > 0.0 else "have no time in common"
-    clock = " (one clock is simulated, unset, or counts from its start)" if far > _DAY_S else ""
+    clock = " (one clock is simulated, unset, or counts from its start)" if apart_s > _DAY_S else ""
     raise RecordingError(
         f"{odometry.place} and {truth.place} {found}: odometry is from {_span(odometry)}, truth from {_span(truth)}, "
-        f"their starts {size} apart{clock}; {_shift(odometry, truth)}"
+        f"their starts {apart_s / per_s:.1f} {unit} apart{clock}; {_shift(odometry, truth)}"
     )
 
 
@@ -235,14 +216,11 @@ def _check_motion(here: Samples, there: Samples) -> None:
 
 
 def _span(path: Samples) -> str:
-    first, last = (float(path.stamps_ns[i]) * 1e-9 for i in (0, -1))
-    if first < _YEAR_S:
-        return f"{first:.1f} s to {last:.1f} s"
-    try:
-        begin, end = (datetime.fromtimestamp(t, UTC).strftime("%Y-%m-%d %H:%M:%S") for t in (first, last))
-    except (OverflowError, ValueError, OSError):
-        return f"{first:.0f} s to {last:.0f} s"
-    return f"{begin} to {end} UTC"
+    ends = path.stamps_ns[[0, -1]]
+    if ends[0] < _YEAR_S * 1e9:
+        return f"{ends[0] * 1e-9:.1f} s to {ends[1] * 1e-9:.1f} s"
+    first, last = (str(end).replace("T", " ") for end in ends.astype("datetime64[ns]").astype("datetime64[s]"))
+    return f"{first} to {last} UTC"
 
 
 _WINDOW_S = 2.0
@@ -258,14 +236,11 @@ def check_together(here: Samples, there: Samples) -> None:
     """Refuse a truth whose motion does not correlate with the odometry's at any lag."""
     reach_s = min(_MAX_LAG_S, here.span_s / 2.0)
     corr = cross_correlation(here.trajectory(), there.trajectory(), reach_s, smoothing_s=_WINDOW_S)
-    both = (corr.odometry, corr.truth)
-    turning = all(s.turn_radps > _TURNS_RADPS for s in both)
-    accelerating = all(s.speed_mps > max(_SPEEDS_MPS, _SPEEDS * s.level_mps) for s in both)
     best = np.maximum(corr.turn, corr.speed)
     # drives of one pattern correlate at some lag, but nearly as well at others; noise of positions does so, too
     elsewhere = best[np.abs(corr.lag_s - corr.lag_s[np.argmax(best)]) > CLOCK_S].max(initial=0.0)
     unlike = best[np.abs(corr.lag_s) <= CLOCK_S].max() < _MIN_NEAR and best.max() < _MIN_ANY
-    if (turning or accelerating) and (unlike or (there.headed and best.max() < min(_CLEAR, 1.25 * elsewhere))):
+    if corr.varies and (unlike or (there.headed and best.max() < min(_CLEAR, 1.25 * elsewhere))):
         raise RecordingError(
             f"{there.place}: does not move as {here.name} does (speeds correlate by {corr.speed.max():.2f}, yaw rates "
             f"by {corr.turn.max():.2f}, at the best shift of up to {reach_s:.0f} s): it is of another drive or of "

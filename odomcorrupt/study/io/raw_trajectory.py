@@ -8,7 +8,7 @@ for a clock set forward by more than an hour (a robot that receives the date aft
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
@@ -70,6 +70,12 @@ class Samples:
     no_w: bool = False
     tick_ns: int = 10**9
 
+    @classmethod
+    def planar(cls, place: str, name: str, stamps_ns: NDArray[np.int64], xyt: Array, **more: Any) -> Self:
+        """Return the samples of poses (n, 3) in the plane; `more` as for the class."""
+        xyz = np.column_stack((xyt[:, :2], np.zeros(len(xyt))))
+        return cls(place=place, name=name, stamps_ns=stamps_ns, xyz=xyz, yaw_rad=xyt[:, 2], **({"frame": ""} | more))
+
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
@@ -87,6 +93,10 @@ class Samples:
     def t_s(self) -> Array:
         """Times since the first stamp (n,), seconds."""
         return self.seconds_since(int(self.stamps_ns[0]))
+
+    def within(self, other: Samples) -> NDArray[np.bool_]:
+        """Return which samples (n,) lie in the time of another trajectory."""
+        return (self.stamps_ns >= other.stamps_ns[0]) & (self.stamps_ns <= other.stamps_ns[-1])
 
     def shared_s(self, other: Samples) -> float:
         """Return the time that both trajectories cover, seconds; negative if they are apart."""
@@ -130,6 +140,12 @@ class Samples:
         return Trajectory(self.stamps_ns, xyt, self.covariance, self.relative)
 
 
+def runs_of(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the stretches of a mask (n,) that are true, as half-open index ranges."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
 _BACK_NS = 1_000_000_000  # smallest step back that begins another run
 _FORWARD_NS = 3_600_000_000_000
 _NEIGHBOURS = 5
@@ -137,14 +153,8 @@ FAR_M = 1e9
 """Larger positions (metres) and headings (radians) count as invalid."""
 
 
-@dataclass(frozen=True, slots=True)
-class Order:
-    """Selection and order of the usable samples.
-
-    rows : (k,) indices into the samples, in order of increasing stamps
-    stamps_ns : (k,) their stamps, strictly increasing
-    notes : removals, for reports
-    """
+class Order(NamedTuple):
+    """Indices (k,) of the usable samples in the order of their stamps (k,), which increase; and notes on removals."""
 
     rows: NDArray[np.int64]
     stamps_ns: NDArray[np.int64]

@@ -75,25 +75,18 @@ def read_runs(source: Source, progress: Callable[[str, float], None] | None = No
     """
     if source.drive_type in STEERED:
         source = replace(source, track_m=None)
-    return [replace(run, drive_type=source.drive_type) for run in _read_runs(source, progress)]
-
-
-def _read_runs(source: Source, progress: Callable[[str, float], None] | None) -> list[Recording]:
-    """Return the recordings of one run without the drive type; see `read_runs`."""
+    scan = source.scan or (None if source.names_truth or is_text(source.path) else only_scan(source.path))
     if source.relative is not None:
-        return _by_motions(source, source.relative)
-    unnamed = not (source.names_truth or is_text(source.path))
-    scan = source.scan or (only_scan(source.path) if unnamed else None)
-    if scan is not None and scan != NO_SCAN:
-        if source.names_truth:
-            raise RecordingError(f"{source.place}: --scan {scan} and a truth; name one of them")
-        return _by_laser(source, scan, progress)
-    imu = _imu_of(source)
-    if imu is not None and not _has_truth(source):
-        return _by_gyro(source, imu)
-    odometry, truth = _read(source)
-    wheels = _with_wheels(source, odometry)
-    return _with_heading_source(source, wheels, _between_clock_steps(source, wheels, truth))
+        found = _by_motions(source, source.relative)
+    elif scan is not None and scan != NO_SCAN:
+        found = _by_laser(source, scan, progress)
+    elif not _has_truth(source) and (imu := _imu_of(source)) is not None:
+        found = _by_gyro(source, imu)
+    else:
+        odometry, truth = _read(source)
+        wheels = _with_wheels(source, odometry)
+        found = _with_heading_source(source, wheels, _between_clock_steps(source, wheels, truth))
+    return [replace(run, drive_type=source.drive_type) for run in found]
 
 
 def read_study(sources: Sequence[Source], progress: Callable[[str, float], None] | None = None) -> list[Recording]:
@@ -173,6 +166,8 @@ def read_odometry(source: Source) -> tuple[Trajectory, float | None]:
 
 def _by_laser(source: Source, scan: str, progress: Callable[[str, float], None] | None) -> list[Recording]:
     """Return the recordings of a run with laser scans as truth."""
+    if source.names_truth:
+        raise RecordingError(f"{source.place}: --scan {scan} and a truth; name one of them")
     wheels = _with_wheels(source, _odometry_of(source))
     try:
         run = match_run(*beside_sweeps(wheels.odometry, source.path, source.place, scan), progress)
@@ -197,7 +192,7 @@ def _by_motions(source: Source, path: Path) -> list[Recording]:
     if source.names_truth or source.scan is not None:
         raise RecordingError(f"{source.place}: --relative {path} and a truth or scans; name one of them")
     wheels = _with_wheels(source, _odometry_of(source))
-    chains = chains_of(read_motions(path).shifted(source.truth_shift_s), wheels.odometry)
+    chains = chains_of(read_motions(path, source.truth_shift_s), wheels.odometry)
     error, source = source.truth_scale_error, replace(source, truth_shift_s=0.0)
     said = f"lengths of the motions are accurate to {error:.2%}, which limits all scales (--laser-scale-accuracy)"
     too_short = "no chain of motions is long enough; record longer"
@@ -237,11 +232,17 @@ def _by_gyro(source: Source, imu: str) -> list[Recording]:
     gyro = yaw_gyro(read_gyro(source.path, source.place, imu), odometry)
     wheels = _with_wheels(source, odometry)
     truth = gyro_truth(wheels.odometry, gyro)
-    runs = wheels.noted(recordings_of(source.title, wheels.odometry, truth, wheels.track_m, source.truth_shift_s))
-    error = source.gyro_scale_error
-    runs = [replace(r, positioned=False, pulled_per_s=0.0, heading_source=gyro.heading_source) for r in runs]
+    runs, error = (
+        recordings_of(source.title, wheels.odometry, truth, wheels.track_m, source.truth_shift_s),
+        source.gyro_scale_error,
+    )
+    runs = [
+        replace(r, positioned=False, pulled_per_s=0.0, heading_source=gyro.heading_source, turn_scale_error=error)
+        for r in runs
+    ]
     return _noted(
-        [replace(r, turn_scale_error=error) for r in runs],
+        runs,
+        *wheels.notes,
         f"no truth, no laser: wheels and the gyro on {imu} alone. What they disagree about is an error of one of "
         "them; travel cannot be known (not testable: wheel_scale, speed_scale and all else that is travel)",
         f"the gyro's turns are accurate to {error:.2%}, which limits any gain of turns (--gyro-scale-accuracy)",
@@ -250,7 +251,7 @@ def _by_gyro(source: Source, imu: str) -> list[Recording]:
 
 def _with_heading_source(source: Source, wheels: _Wheeled, runs: list[Recording]) -> list[Recording]:
     """Return the recordings with notes on the wheels, and the source of the heading by a gyro beside the truth."""
-    runs, imu = wheels.noted(runs), _imu_of(source)
+    runs, imu = _noted(runs, *wheels.notes), _imu_of(source)
     if imu is None:
         return runs
     try:
@@ -275,32 +276,25 @@ class _Wheeled:
     track_m: float | None
     notes: tuple[str, ...] = ()
 
-    def noted(self, runs: list[Recording]) -> list[Recording]:
-        """Return the recordings with these findings among their notes."""
-        return _noted(runs, *self.notes)
-
 
 def _with_wheels(source: Source, odometry: Samples) -> _Wheeled:
     """Return the odometry with findings from the bag's wheel angles, or odometry made from them if joints are named."""
-    plain = _Wheeled(odometry, source.track_m)
-    if is_text(source.path):
-        return plain
-    angles = read_wheels(source.path, source.place, source.joints)
+    angles = None if is_text(source.path) else read_wheels(source.path, source.place, source.joints)
     if angles is None:
-        return plain
+        return _Wheeled(odometry, source.track_m)
     try:
         wheels = wheels_of(angles, odometry)
     except RecordingError as error:
         if source.joints is not None:
             raise
-        return replace(plain, notes=(f"the wheels' angles are left out: {error}",))
+        return _Wheeled(odometry, source.track_m, (f"the wheels' angles are left out: {error}",))
     track_m, notes = source.track_m, wheels.notes
     if track_m is None and wheels.heading:
         track_m = wheels.track_m
     elif track_m is not None and wheels.heading and abs(track_m / wheels.track_m - 1.0) > _OTHER_TRACK:
         notes = (*notes, f"--track {track_m:g} m is not the {wheels.track_m:.4g} m that the odometry is made with")
     if source.joints is not None:
-        return _Wheeled(odometry_of_wheels(angles, wheels, odometry), track_m, notes)
+        odometry = odometry_of_wheels(angles, wheels, odometry)
     return _Wheeled(odometry, track_m, notes)
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import io
 import itertools
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -55,21 +54,9 @@ class Motions(NamedTuple):
     xyt: Array
     covariance: Array | None
 
-    def shifted(self, by_s: float) -> Motions:
-        """Return the motions at times later by so many seconds."""
-        shift = round(by_s * 1e9)
-        return self._replace(start_ns=self.start_ns + shift, end_ns=self.end_ns + shift)
 
-
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    times: tuple[int, int]
-    motion: tuple[int, int, int]
-    covariance: tuple[int, ...]
-
-
-def read_motions(path: Path) -> Motions:
-    """Return the relative motions in a CSV file.
+def read_motions(path: Path, shift_s: float = 0.0) -> Motions:
+    """Return the relative motions in a CSV file, at times later by a shift.
 
     Raises
     ------
@@ -83,17 +70,17 @@ def read_motions(path: Path) -> Motions:
         header = next(rows, None)
         if header is None:
             raise RecordingError(f"{place}: is empty; its first line names t0,t1,dx,dy,dyaw")
-        layout = _layout(header.cells, place)
+        at = _columns(header.cells, place)
         table = list(itertools.islice(whole_rows(rows, len(header.cells), notes), _MAX_LINES))
     if len(table) < FEWEST:
         raise RecordingError(f"{place}: holds {len(table)} relative motions; {FEWEST} and more are needed")
-    tick = guess_tick([row.number(layout.times[0]) for row in table[:1000]])
-    start, end = (np.array([row.nanoseconds(at, tick) for row in table]) for at in layout.times)
-    values = np.array([[row.number(at) for at in (*layout.motion, *layout.covariance)] for row in table])
+    tick = guess_tick([row.number(at[0]) for row in table[:1000]])
+    start, end = (np.array([row.nanoseconds(one, tick) for row in table]) + round(shift_s * 1e9) for one in at[:2])
+    values = np.array([[row.number(one) for one in at[2:]] for row in table])
     if not np.isfinite(values).all():
         raise RecordingError(f"{place}: holds a number that is not finite; leave its line out")
     xyt, covariance = values[:, :3], None
-    if layout.covariance:
+    if len(at) > 5:
         covariance = np.zeros((len(values), 3, 3))
         for column, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
             covariance[:, i, j] = covariance[:, j, i] = values[:, 3 + column]
@@ -153,16 +140,8 @@ def _chain(motions: Motions, rows: NDArray[np.int64]) -> Samples:
     covariance = None
     if motions.covariance is not None:
         covariance = motions.covariance[np.concatenate((rows[:1], rows))]
-    return Samples(
-        place=motions.place,
-        name=motions.name,
-        frame="",
-        stamps_ns=np.concatenate((motions.start_ns[rows[:1]], motions.end_ns[rows])),
-        xyz=np.column_stack((poses[:, :2], np.zeros(len(poses)))),
-        yaw_rad=poses[:, 2],
-        covariance=covariance,
-        relative=True,
-    )
+    stamps_ns = np.concatenate((motions.start_ns[rows[:1]], motions.end_ns[rows]))
+    return Samples.planar(motions.place, motions.name, stamps_ns, poses, covariance=covariance, relative=True)
 
 
 def _lasting(motions: Motions, chains: Sequence[list[int]]) -> list[list[int]]:
@@ -243,7 +222,8 @@ def _on_robot(motions: Motions, odometry: Samples) -> _OnRobot:
     return _OnRobot(motions._replace(xyt=seen), frozenset(gross.tolist()), said)
 
 
-def _layout(header: Sequence[str], place: str) -> _Layout:
+def _columns(header: Sequence[str], place: str) -> list[int]:
+    """Return the columns of the two times, of the motion (3) and of its covariance (6), if it has one."""
     names = [re.sub(r"[^a-z0-9_]", "", cell.strip().lower()) for cell in header]
     where = {name: i for i, name in enumerate(names)}
     times = next(((where[a], where[b]) for a, b in _TIMES if a in where and b in where), None)
@@ -254,4 +234,4 @@ def _layout(header: Sequence[str], place: str) -> _Layout:
     if known and len(known) < len(_COVARIANCE):
         missing = ", ".join(name for name in _COVARIANCE if name not in where)
         raise RecordingError(f"{place}: a covariance without {missing}; give all of {','.join(_COVARIANCE)}, or none")
-    return _Layout(times, (where["dx"], where["dy"], yaw), tuple(where[name] for name in known))
+    return [*times, where["dx"], where["dy"], yaw, *(where[name] for name in known)]

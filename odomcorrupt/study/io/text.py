@@ -75,14 +75,11 @@ class Columns:
     nanoseconds: int | None
     tick_ns: int | None
     xyz: tuple[int, int, int | None]
-    metre: float = 1.0
-    yaw: int | None = None
-    radian: float = 1.0
-    quat: tuple[int, int, int, int] | None = None
+    metre: float
+    yaw: int | None
+    radian: float
+    quat: list[int] | None
     y_up: bool = False
-
-
-TUM = Columns(None, 8, 0, None, None, (1, 2, 3), quat=(4, 5, 6, 7))
 
 
 class _Name(NamedTuple):
@@ -90,7 +87,7 @@ class _Name(NamedTuple):
     unit: str
 
 
-def find_columns(header: Sequence[str], delimiter: str, place: str) -> Columns:
+def find_columns(header: Sequence[str], delimiter: str | None, place: str) -> Columns:
     """Return the columns of time, position and heading according to a header.
 
     Raises
@@ -130,7 +127,7 @@ def find_columns(header: Sequence[str], delimiter: str, place: str) -> Columns:
         metre=_LENGTHS.get(names[x].unit, 1.0),
         yaw=yaw,
         radian=1.0 if yaw is None else _ANGLES.get(names[yaw].unit, 1.0),
-        quat=(quat[0], quat[1], quat[2], quat[3]) if yaw is None and len(quat) == 4 else None,
+        quat=quat if yaw is None and len(quat) == 4 else None,
     )
 
 
@@ -173,14 +170,9 @@ def _read(cell: str) -> _Name:
 _MAX_LINES = 50_000_000  # lines
 _BATCH = 16_384
 _DELIMITERS = ",;\t"
+_TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
 _BAGS = (b"#ROSBAG V", b"\x89MCAP", b"SQLite format 3")
 _UNITS = {1: "nanoseconds", 10**3: "microseconds", 10**6: "milliseconds", 10**9: "seconds"}
-
-
-class _Part(NamedTuple):
-    stamps_ns: NDArray[np.int64]
-    xyz: Array
-    yaw: Array
 
 
 def is_text(path: Path) -> bool:
@@ -206,26 +198,28 @@ def read_text(path: Path, place: str) -> Samples:
         columns, first = _begin(lines, place)
         more = (split_line(row, columns.delimiter) for row in lines if not row.cells[0].startswith("#"))
         rows = whole_rows(itertools.chain(first, more), columns.count, notes)
-        ahead = list(itertools.islice(rows, _BATCH))
-        tick = columns.tick_ns or guess_tick([row.number(columns.time) for row in ahead])
-        if columns.y_up and ahead:
-            across, height = np.nan_to_num(_part(ahead, columns, tick, ComponentOrder()).xyz)[:, 1:].std(axis=0)
-            columns = replace(columns, y_up=bool(height <= 10.0 * across))
-        rows = itertools.chain(ahead, rows)
-        parts, order = [], ComponentOrder()
+        stamps: list[NDArray[np.int64]] = []
+        poses: list[Array] = []
+        order = ComponentOrder()
         while batch := list(itertools.islice(rows, _BATCH)):
-            parts.append(_part(batch, columns, tick, order))
-            if len(parts) * _BATCH > _MAX_LINES:
+            if not stamps:
+                tick = columns.tick_ns or guess_tick([row.number(columns.time) for row in batch])
+                if columns.y_up:
+                    across, height = np.nan_to_num(_poses(batch, columns, ComponentOrder()))[:, 1:3].std(axis=0)
+                    columns = replace(columns, y_up=bool(height <= 10.0 * across))
+            stamps.append(_stamps_ns(batch, columns, tick))
+            poses.append(_poses(batch, columns, order))
+            if len(stamps) * _BATCH > _MAX_LINES:
                 raise RecordingError(f"{place}: more than {_MAX_LINES} lines; thin it out")
-    if not parts:
+    if not stamps:
         raise RecordingError(f"{place}: holds no line of numbers; nothing was recorded")
     if order.w_first:
         raise RecordingError(f"{place}: {W_FIRST}")
     if not columns.tick_ns and tick != 10**9:
         notes.append(f"stamps read as {_UNITS[tick]}")
-    stamps_ns, xyz, yaw_rad = (np.concatenate(column) for column in zip(*parts, strict=True))
+    every = np.concatenate(poses)
     said, unit_ns = tuple(f"{path.name}: {note}" for note in notes), 10**9 if columns.tick_ns else tick
-    return Samples(place, path.name, "", stamps_ns, xyz, yaw_rad, notes=said, tick_ns=unit_ns)
+    return Samples(place, path.name, "", np.concatenate(stamps), every[:, :3], every[:, 3], notes=said, tick_ns=unit_ns)
 
 
 def _begin(lines: Iterator[Row], place: str) -> tuple[Columns, list[Row]]:
@@ -237,8 +231,8 @@ def _begin(lines: Iterator[Row], place: str) -> tuple[Columns, list[Row]]:
         delimiter = next((mark for mark in _DELIMITERS if mark in line), None)
         cut = split_line(row, delimiter)
         if delimiter is None and are_numbers(cut):
-            if len(cut.cells) == TUM.count:
-                return TUM, [cut]
+            if len(cut.cells) == len(_TUM):
+                return find_columns(_TUM, None, place), [cut]
             kind = "; KITTI poses have no stamps" if len(cut.cells) == 12 else ""
             found = f"{len(cut.cells)} numbers in line {row.line}{kind}"
             raise RecordingError(f"{place}: {found}; a TUM file has 8 (stamp x y z qx qy qz qw)")
@@ -263,10 +257,15 @@ def _motive_header(take: Row, lines: Iterator[Row]) -> list[str]:
     return [*heads[-1][:2], *itertools.islice(names, 2, None)]
 
 
-def _part(rows: list[Row], columns: Columns, tick_ns: int, order: ComponentOrder) -> _Part:
+def _stamps_ns(rows: list[Row], columns: Columns, tick_ns: int) -> NDArray[np.int64]:
     stamps = np.array([row.nanoseconds(columns.time, tick_ns) for row in rows])
     if columns.nanoseconds is not None:
         stamps += np.array([row.nanoseconds(columns.nanoseconds, 1) for row in rows])
+    return stamps
+
+
+def _poses(rows: list[Row], columns: Columns, order: ComponentOrder) -> Array:
+    """Return the positions and the headings (n, 4) in lines, m and rad; NaN without a heading."""
 
     def numbers(places: Iterable[int | None]) -> Array:
         values = np.array([[0.0 if at is None else row.number(at) for at in places] for row in rows])
@@ -282,7 +281,7 @@ def _part(rows: list[Row], columns: Columns, tick_ns: int, order: ComponentOrder
         quat_xyzw = numbers(columns.quat)
         order.take(xyz, quat_xyzw)
         yaw = headings(quat_xyzw)
-    return _Part(stamps, xyz, yaw)
+    return np.column_stack((xyz, yaw))
 
 
 _MAX_LINE = 65_536  # characters in a line

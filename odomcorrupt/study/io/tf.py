@@ -10,26 +10,28 @@ are used.
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
+from odomcorrupt.bags.messages import gather, gather_stamps_ns
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.corruption.pose_faults import W_FIRST, ComponentOrder
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.study.io.localisation import CORRECTIONS, REPEATED, SPARSE_HZ, ahead_s
 from odomcorrupt.study.io.raw_trajectory import FAR_M, Samples, order_of
-from odomcorrupt.study.io.se3 import Transforms, check_order, composed, headings, interpolated, inverted, unit
-from odomcorrupt.study.io.topic_selection import near, plain
+from odomcorrupt.study.io.se3 import Transforms, composed, headings, interpolated, inverted, unit
+from odomcorrupt.study.io.topic_selection import EDGES, located, near, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import BagReader, Block, Channel
-    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.bags.block import Block, Channel
+    from odomcorrupt.bags.messages import Layout
     from odomcorrupt.study.io.topic_selection import Address
 
 _MAX_EDGES = 100_000
@@ -42,77 +44,49 @@ class Edge(NamedTuple):
     child: str
 
 
-@dataclass(frozen=True, slots=True)
-class Tree:
-    """Edges of a bag's TF topics, moving and static."""
-
-    moving: frozenset[Edge]
-    static: frozenset[Edge]
-
-    @property
-    def edges(self) -> frozenset[Edge]:
-        """All edges."""
-        return self.moving | self.static
-
-    def way(self, address: Address, place: str) -> list[tuple[Edge, bool]]:
-        """Return the edges from parent to child, each with a flag for traversal from child to parent.
-
-        Raises
-        ------
-        TopicError
-            If a frame does not exist, or the two frames are not connected.
-        """
-        frames = {frame for edge in self.edges for frame in edge}
-        if not frames:
-            raise TopicError(f"{place}: {address.topic} holds no transform; name another topic")
-        text = plain(address.frames)
-        cuts = [i for i, letter in enumerate(text) if letter == "."]
-        pairs = [(plain(text[:i]), plain(text[i + 1 :])) for i in cuts]
-        parent, child = next(((p, c) for p, c in pairs if p in frames and c in frames), pairs[0])
-        for frame in (parent, child):
-            if frame not in frames:
-                raise TopicError(f"{place}: no frame {frame} on {address.topic} ({near(frame, frames)})")
-        if parent == child:
-            raise TopicError(f"{place}: {address} names {parent} twice; name two frames")
-        found = self._walk(parent, child)
-        if found is None:
-            raise TopicError(f"{place}: nothing on {address.topic} leads from {parent} to {child}: two separate trees")
-        return found
-
-    def _walk(self, parent: str, child: str) -> list[tuple[Edge, bool]] | None:
-        neighbours: dict[str, list[tuple[str, Edge, bool]]] = {}
-        for edge in sorted(self.edges):
-            neighbours.setdefault(edge.parent, []).append((edge.child, edge, False))
-            neighbours.setdefault(edge.child, []).append((edge.parent, edge, True))
-        came: dict[str, tuple[str, Edge, bool]] = {}
-        waiting = deque([parent])
-        while waiting and child not in came:
-            here = waiting.popleft()
-            for there, edge, back in neighbours.get(here, []):
-                if there not in came and there != parent:
-                    came[there] = (here, edge, back)
-                    waiting.append(there)
-        if child not in came:
-            return None
-        way = []
-        at = child
-        while at != parent:
-            at, edge, back = came[at]
-            way.append((edge, back))
-        return way[::-1]
+_Way = list[tuple[Edge, bool]]
+"""Edges from one frame to another, each with a flag for traversal from child to parent."""
 
 
-def read_tree(reader: BagReader, moving: Iterable[Channel], static: Iterable[Channel]) -> Tree:
-    """Return the edges on channels of a bag, consuming the reader."""
-    found: dict[bool, set[Edge]] = {False: set(), True: set()}
-    channels = [(c, False) for c in moving] + [(c, True) for c in static]
-    for block in reader.blocks():
-        for channel, still in channels:
-            for layout in locate(block, channel):
-                found[still] |= {Edge(plain(i.frame_id), plain(i.child_frame_id)) for i in layout.items}
-                if len(found[still]) > _MAX_EDGES:
-                    raise RecordingError(f"{channel.topic}: more than {_MAX_EDGES} edges; this is not a robot's TF")
-    return Tree(frozenset(found[False]), frozenset(found[True] - found[False]))
+def _frames(edges: set[Edge], address: Address, place: str) -> Edge:
+    """Return the two frames of an address; the frames of the bag decide where names contain dots."""
+    frames = {frame for edge in edges for frame in edge}
+    if not frames:
+        raise TopicError(f"{place}: {address.topic} holds no transform; name another topic")
+    text = plain(address.frames)
+    pairs = [Edge(plain(text[:i]), plain(text[i + 1 :])) for i, letter in enumerate(text) if letter == "."]
+    found = next((pair for pair in pairs if frames.issuperset(pair)), pairs[0])
+    for frame in found:
+        if frame not in frames:
+            raise TopicError(f"{place}: no frame {frame} on {address.topic} ({near(frame, frames)})")
+    if found.parent == found.child:
+        raise TopicError(f"{place}: {address} names {found.parent} twice; name two frames")
+    return found
+
+
+def _way(edges: set[Edge], address: Address, place: str) -> _Way:
+    """Return the edges between the two frames of an address."""
+    parent, child = _frames(edges, address, place)
+    neighbours: dict[str, _Way] = {}
+    for edge in sorted(edges):
+        neighbours.setdefault(edge.parent, []).append((edge, False))
+        neighbours.setdefault(edge.child, []).append((edge, True))
+    came: dict[str, tuple[Edge, bool]] = {}
+    waiting = [parent]
+    for here in waiting:
+        for edge, back in neighbours[here]:
+            there = edge.parent if back else edge.child
+            if there not in came and there != parent:
+                came[there] = (edge, back)
+                waiting.append(there)
+    if child not in came:
+        raise TopicError(f"{place}: nothing on {address.topic} leads from {parent} to {child}: two separate trees")
+    way: _Way = []
+    while child != parent:
+        edge, back = came[child]
+        way.append((edge, back))
+        child = edge.child if back else edge.parent
+    return way[::-1]
 
 
 _MOVES = np.array([1e-4, 1e-4])
@@ -124,6 +98,8 @@ _AHEAD_S = (0.02, 5.0)
 
 
 class _Ordered(NamedTuple):
+    """Transforms of an edge in the order of their stamps."""
+
     stamps_ns: NDArray[np.int64]
     logs_ns: NDArray[np.int64]
     poses: Transforms
@@ -139,27 +115,34 @@ class _Ordered(NamedTuple):
 class EdgeReader:
     """Collector of the edges that connect the two frames of an address, block by block."""
 
-    def __init__(self, place: str, address: Address, channels: list[Channel], tree: Tree) -> None:
+    def __init__(self, path: Path, place: str, address: Address, moving: list[Channel], others: list[Channel]) -> None:
+        wanted = plain(address.static)
+        beside = plain(address.topic).rpartition("/")[0]
+        names = {wanted} if wanted else {f"{beside}/tf_static" if beside else "tf_static", "tf_static"}
+        static = [c for c in others if c.msgtype in EDGES and plain(c.topic) in names and c not in moving]
+        if wanted and not static:
+            raise TopicError(f"{place}: no topic {address.static} with transforms; leave it out of {address}")
         self.place = f"{place}: {address}"
         self.address = address
-        self.channels = channels
-        self.tree = tree
-        self.way = tree.way(address, place)
-        self.collected: dict[Edge, list[tuple[NDArray[np.int64], NDArray[np.int64], Array]]] = {
-            edge: [] for edge, _ in self.way
-        }
+        self.channels = [*moving, *static]
+        self.moving: set[Edge] = set()
+        still: set[Edge] = set()
+        with open_reader(path) as reader:
+            for _, channel, layout in located(reader, self.channels):
+                found = still if channel in static else self.moving
+                found |= {Edge(plain(i.frame_id), plain(i.child_frame_id)) for i in layout.items}
+                if len(found) > _MAX_EDGES:
+                    raise RecordingError(f"{channel.topic}: more than {_MAX_EDGES} edges; this is not a robot's TF")
+        self.way = _way(self.moving | still, address, place)
+        self.collected: dict[Edge, list[tuple[NDArray[Any], ...]]] = {edge: [] for edge, _ in self.way}
 
-    def take(self, block: Block) -> None:
-        """Append the transforms of these edges in a block."""
-        for channel in self.channels:
-            for layout in locate(block, channel):
-                for item in layout.items:
-                    here = self.collected.get(Edge(plain(item.frame_id), plain(item.child_frame_id)))
-                    if here is None:
-                        continue
-                    pose = (gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
-                    logs_ns = block.table["log_ns"][layout.rows]
-                    here.append((gather_stamps_ns(block, layout, item), logs_ns, np.concatenate(pose, axis=1)))
+    def take(self, block: Block, layout: Layout) -> None:
+        """Append the transforms of these edges in messages of a block."""
+        for item in layout.items:
+            here = self.collected.get(Edge(plain(item.frame_id), plain(item.child_frame_id)))
+            if here is not None:
+                pose = (gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
+                here.append((gather_stamps_ns(block, layout, item), block.table["log_ns"][layout.rows], *pose))
 
     def samples(self) -> Samples:
         """Return the composed poses.
@@ -170,7 +153,7 @@ class EdgeReader:
             If no edge on the path moves, or the moving edges have no time in common.
         """
         edges = {edge: self._edge(edge) for edge, _ in self.way}
-        moving = {edge: e for edge, e in edges.items() if edge in self.tree.moving and len(e.stamps_ns) > 1}
+        moving = {edge: e for edge, e in edges.items() if edge in self.moving and len(e.stamps_ns) > 1}
         names = ", ".join(f"{e.parent}.{e.child}" for e, _ in self.way)
         if not moving:
             raise RecordingError(f"{self.place}: no edge on the way ({names}) moves; name two frames that do")
@@ -186,10 +169,9 @@ class EdgeReader:
             edges[edge] = moving[edge] = corrections
             stamps = corrections.stamps_ns[(corrections.stamps_ns >= first) & (corrections.stamps_ns <= last)]
             notes.append(f"{self.address}: {edge.parent}.{edge.child}: {'; '.join(corrections.notes)}")
-        total = Transforms(np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
+        total = Transforms(np.zeros((1, 3)), Rotation.identity(1))
         for edge, back in self.way:
-            part = edges[edge].poses
-            part = edges[edge].between(stamps) if edge in moving else Transforms(part.xyz[:1], part.quat_xyzw[:1])
+            part = edges[edge].between(stamps) if edge in moving else edges[edge].poses.only(slice(1))
             total = composed(total, inverted(part) if back else part)
         if len(self.way) > 1:
             notes.append(f"{self.address}: composed of {names}")
@@ -199,26 +181,29 @@ class EdgeReader:
             self.way[0][0].child if self.way[0][1] else self.way[0][0].parent,
             stamps,
             total.xyz,
-            headings(total.quat_xyzw),
+            headings(total.rotation.as_quat()),
             notes=tuple(notes),
             child=self.way[-1][0].parent if self.way[-1][1] else self.way[-1][0].child,
             localised=found is not None,
         )
 
     def _edge(self, edge: Edge) -> _Ordered:
-        stamps, logs, values = (np.concatenate(part) for part in zip(*self.collected[edge], strict=True))
-        values = np.concatenate((values[:, :3], unit(values[:, 3:])), axis=1)
+        stamps, logs, xyz, quat_xyzw = (np.concatenate(part) for part in zip(*self.collected[edge], strict=True))
+        values = np.concatenate((xyz, unit(quat_xyzw)), axis=1)
         # comparisons with NaN are false
         good = np.asarray((np.abs(values) < FAR_M).all(axis=1))
+        name = f"{edge.parent}.{edge.child}"
         if not good.any():
-            raise RecordingError(f"{self.place}: none of {len(good)} transforms {edge.parent}.{edge.child} is a number")
-        check_order(f"{self.place}: {edge.parent}.{edge.child}", values[good][:, :3], values[good][:, 3:])
-        stamps, logs = stamps[good], logs[good]
+            raise RecordingError(f"{self.place}: none of {len(good)} transforms {name} is a number")
+        stamps, logs, values = stamps[good], logs[good], values[good]
+        components = ComponentOrder()
+        components.take(values[:, :3], values[:, 3:])
+        if components.w_first:
+            raise RecordingError(f"{self.place}: {name}: {W_FIRST}")
         # Static edges are repeated with arbitrary stamps.
-        order = order_of(stamps, logs if edge in self.tree.moving else logs[:0])
-        kept = values[good][order.rows]
-        notes = order.notes if edge in self.tree.moving else ()
-        return _Ordered(order.stamps_ns, logs[order.rows], Transforms(kept[:, :3], kept[:, 3:]), notes)
+        order = order_of(stamps, logs if edge in self.moving else logs[:0])
+        poses = Transforms(values[:, :3], Rotation.from_quat(values[:, 3:])).only(order.rows)
+        return _Ordered(order.stamps_ns, logs[order.rows], poses, order.notes if edge in self.moving else ())
 
 
 def _localisation(moving: Mapping[Edge, _Ordered]) -> tuple[Edge, _Ordered] | None:
@@ -228,7 +213,8 @@ def _localisation(moving: Mapping[Edge, _Ordered]) -> tuple[Edge, _Ordered] | No
     """
     for edge, own in moving.items():
         others = [other for e, other in moving.items() if e != edge]
-        new = np.any(np.diff(np.concatenate(own.poses, axis=1), axis=0) != 0.0, axis=1)
+        values = np.column_stack((own.poses.xyz, own.poses.rotation.as_quat()))
+        new = np.any(np.diff(values, axis=0) != 0.0, axis=1)
         if not others or new.sum() < CORRECTIONS:
             continue
         fastest = max(others, key=lambda other: len(other.stamps_ns))
@@ -237,9 +223,8 @@ def _localisation(moving: Mapping[Edge, _Ordered]) -> tuple[Edge, _Ordered] | No
         went = np.zeros((len(new), 2))
         for other in others:
             there = other.between(own.stamps_ns)
-            turned = np.abs(np.sum(there.quat_xyzw[:-1] * there.quat_xyzw[1:], axis=1))
             went[:, 0] += np.linalg.norm(np.diff(there.xyz, axis=0), axis=1)
-            went[:, 1] += 2.0 * np.arccos(np.minimum(turned, 1.0))
+            went[:, 1] += (there.rotation[:-1].inv() * there.rotation[1:]).magnitude()
         moves = (went > _MOVES).any(axis=1)
         if not seldom and (np.mean(~new[moves]) < REPEATED if moves.any() else True):
             continue
@@ -253,5 +238,5 @@ def _localisation(moving: Mapping[Edge, _Ordered]) -> tuple[Edge, _Ordered] | No
             f"a localisation on top of the odometry; the truth is taken at its {len(rows)} corrections alone: between "
             f"them it repeats the odometry{said}"
         )
-        return edge, _Ordered(stamps, stamps, Transforms(own.poses.xyz[rows], own.poses.quat_xyzw[rows]), (note,))
+        return edge, _Ordered(stamps, stamps, own.poses.only(rows), (note,))
     return None

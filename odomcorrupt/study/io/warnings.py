@@ -53,8 +53,7 @@ def check_identity(odometry: Samples, truth: Samples) -> list[str]:
     apart = between(real[:1], real) - between(path[:1], path)
     apart[:, 2] = wrap(apart[:, 2])
     within = float(np.abs(apart).max()) < _SAME_M
-    first, last = max(odometry.stamps_ns[0], truth.stamps_ns[0]), min(odometry.stamps_ns[-1], truth.stamps_ns[-1])
-    one, other = (p.stamps_ns[(p.stamps_ns >= first) & (p.stamps_ns <= last)] for p in (odometry, truth))
+    one, other = odometry.stamps_ns[odometry.within(truth)], truth.stamps_ns[truth.within(odometry)]
     copied = np.isin(other, one).mean() > 0.5 or abs(len(other) - len(one)) < 0.01 * len(one) + 2
     if (share > 0.99 or (share > 0.5 and within)) and copied:
         raise RecordingError(
@@ -239,6 +238,6 @@ def _steps(odometry: Samples, truth: Samples) -> tuple[Array, Array]:
 def _common(odometry: Samples, truth: Samples) -> tuple[Array, Array]:
     """Return the poses (k, 3) of truth and odometry at the truth's stamps."""
     path, real = odometry.trajectory(), truth.trajectory()
-    inside = (real.stamps_ns >= path.stamps_ns[0]) & (real.stamps_ns <= path.stamps_ns[-1])
+    inside = truth.within(odometry)
     origin = int(odometry.stamps_ns[0])
     return real.xyt[inside], path.at(real.seconds_since(origin)[inside], origin)

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
+from odomcorrupt.bags.messages import gather, gather_stamps_ns
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.motion import step_of
 from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 from odomcorrupt.study.io.raw_trajectory import FEWEST, REPORTED_LAG_S, Samples
-from odomcorrupt.study.io.topic_selection import near
+from odomcorrupt.study.io.topic_selection import located, near
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -84,17 +84,14 @@ def read_wheels(path: Path, place: str, joints: tuple[str, str] | None) -> Wheel
         channels = [c for c in reader.channels.values() if c.msgtype == JOINTS]
         if not channels and joints is None:
             return None
-        for block in reader.blocks():
-            for channel in channels:
-                for layout in locate(block, channel):
-                    item = layout.items[0]
-                    seen |= set(item.fields)
-                    both = joints or find_joints(item.fields)
-                    if both is None or not all(joint in item.fields for joint in both):
-                        continue
-                    chosen = both
-                    angle = np.column_stack([gather(block, layout, item, joint)[:, 0] for joint in both])
-                    parts.append((gather_stamps_ns(block, layout, item), angle))
+        for block, _, layout in located(reader, channels):
+            item = layout.items[0]
+            seen |= set(item.fields)
+            both = joints or find_joints(item.fields)
+            if both is not None and all(joint in item.fields for joint in both):
+                chosen = both
+                angle = np.column_stack([gather(block, layout, item, joint)[:, 0] for joint in both])
+                parts.append((gather_stamps_ns(block, layout, item), angle))
     if not parts:
         if joints is None:
             return None
@@ -109,7 +106,9 @@ def read_wheels(path: Path, place: str, joints: tuple[str, str] | None) -> Wheel
         raise RecordingError(
             f"{place}: {len(stamps)} angles of {' and '.join(joints)}; record more, or leave --joints out"
         )
-    return WheelAngles(place, chosen, stamps, _unwrapped(angle))
+    if np.ptp(angle) <= 2.0 * np.pi + 0.1:  # the driver wraps them every turn
+        angle = np.unwrap(angle, axis=0)
+    return WheelAngles(place, chosen, stamps, angle)
 
 
 def wheels_of(angles: WheelAngles, odometry: Samples) -> Wheels:
@@ -179,27 +178,16 @@ def odometry_of_wheels(angles: WheelAngles, wheels: Wheels, odometry: Samples) -
             "their sums would not be true of it; leave --joints out"
         )
     inside = (angles.stamps_ns >= odometry.stamps_ns[0]) & (angles.stamps_ns <= odometry.stamps_ns[-1])
-    stamps, angle = angles.stamps_ns[inside], angles.angle[inside]
-    turn = np.diff(angle, axis=0)
+    stamps, turn = angles.stamps_ns[inside], np.diff(angles.angle[inside], axis=0)
     ds, dtheta = 0.5 * wheels.radius_m * turn.sum(axis=1), wheels.radius_m / wheels.track_m * (turn[:, 1] - turn[:, 0])
-    begin = odometry.trajectory().at(
-        np.array([(int(stamps[0]) - int(odometry.stamps_ns[0])) * 1e-9]), int(odometry.stamps_ns[0])
-    )
-    xyt = accumulate(begin[0], Increments(ds, np.zeros_like(ds), dtheta))
-    return Samples(
-        place=f"{angles.place}: {' and '.join(angles.joints)}",
-        name=f"{odometry.name} from its wheels' angles",
+    origin = int(odometry.stamps_ns[0])
+    begin = odometry.trajectory().at((stamps[:1] - origin) * 1e-9, origin)
+    return Samples.planar(
+        f"{angles.place}: {' and '.join(angles.joints)}",
+        f"{odometry.name} from its wheels' angles",
+        stamps,
+        accumulate(begin[0], Increments(ds, np.zeros_like(ds), dtheta)),
         frame=odometry.frame,
-        stamps_ns=stamps,
-        xyz=np.column_stack((xyt[:, :2], np.zeros(len(xyt)))),
-        yaw_rad=xyt[:, 2],
         notes=odometry.notes,
         child=odometry.child,
     )
-
-
-def _unwrapped(angle: Array) -> Array:
-    """Return angles (n, 2) unwrapped if the driver wraps them every turn; otherwise unchanged."""
-    if np.ptp(angle) > 2.0 * np.pi + 0.1:
-        return angle
-    return np.unwrap(angle, axis=0)

@@ -56,19 +56,22 @@ def test_a_few_poses_without_stamp_or_number_are_left_out(read):
     noted(recordings, "1 positions that are not numbers left out")
 
 
-def test_a_clock_that_is_set_back_keeps_the_longest_stretch_and_never_interleaves():
-    first, second = np.arange(100) * 50_000_000 + START_NS, np.arange(300) * 50_000_000 + START_NS
-    order = order_of(np.concatenate((first, second)), np.arange(400) + 1)
-    assert np.array_equal(order.rows, np.arange(100, 400))
-    assert np.array_equal(order.stamps_ns, second)
-    assert order.notes == ("its clock is set back 1 times: the longest stretch kept, 100 poses left out",)
+EARLY, LATE = np.arange(50) * 50_000_000 + 10**9, START_NS + np.arange(200) * 50_000_000
 
 
-def test_a_date_that_is_learnt_late_keeps_the_longer_part():
-    stamps = np.concatenate((np.arange(50) * 50_000_000 + 10**9, START_NS + np.arange(200) * 50_000_000))
-    order = order_of(stamps, np.arange(250) + 1)
-    assert np.array_equal(order.rows, np.arange(50, 250))
-    assert order.notes == ("its stamps jump by more than an hour: 50 poses left out",)
+@pytest.mark.parametrize(
+    ("before", "note"),
+    [
+        (LATE[:100], "its clock is set back 1 times: the longest stretch kept, 100 poses left out"),
+        (EARLY, "its stamps jump by more than an hour: 50 poses left out"),
+    ],
+    ids=["a clock that is set back", "a date that is learnt late"],
+)
+def test_the_longest_stretch_of_a_clock_is_kept_and_stretches_never_interleave(before, note):
+    order = order_of(np.concatenate((before, LATE)), np.arange(len(before) + 200) + 1)
+    assert np.array_equal(order.rows, np.arange(200) + len(before))
+    assert np.array_equal(order.stamps_ns, LATE)
+    assert order.notes == (note,)
 
 
 def test_a_reset_of_the_odometry_makes_two_independent_runs(read):
@@ -356,7 +359,7 @@ def test_a_tracker_with_bad_moments_is_accepted(tmp_path, office):
     assert not left_out(office, [recording])
 
 
-def excursion(jump_s, lasts_s, *, scale=1.0, gain=1.0):
+def excursion(jump_s, lasts_s, *, scale=1.0, gain=1.0, localised=True):
     """Return odometry and a localisation that is 25 cm off from a time on, for some seconds, and which poses are."""
     t_s = np.arange(0.0, 240.0, 0.02)
     turn = 0.4 * np.sign(np.sin(2.0 * np.pi * t_s / 40.0))
@@ -370,7 +373,7 @@ def excursion(jump_s, lasts_s, *, scale=1.0, gain=1.0):
     out = (at >= jump_s) & (at < jump_s + lasts_s)
     xy = paths[1][0][rows] + rng.normal(0.0, 0.02, (len(at), 2)) + out[:, None] * (0.22, -0.12)
     odometry = samples(t_s, *paths[0])
-    return odometry, samples(at, xy, paths[1][1][rows] + rng.normal(0.0, 0.008, len(at)), localised=True), out
+    return odometry, samples(at, xy, paths[1][1][rows] + rng.normal(0.0, 0.008, len(at)), localised=localised), out
 
 
 @pytest.mark.parametrize(("scale", "gain"), [(1.0, 1.0), (1.012, 1.0), (1.0, 1.02)])
@@ -379,11 +382,6 @@ def test_an_excursion_is_left_out_whole_and_nothing_else(scale, gain):
     left = without_excursions(odometry, truth)
     np.testing.assert_array_equal(left.stamps_ns, truth.stamps_ns[~out])
     assert "an excursion that comes back, 12 poses, left out (0.2" in left.notes[-1]
-
-
-def test_what_stays_is_no_excursion():
-    odometry, truth, _ = excursion(95.0, 1e9)
-    assert without_excursions(odometry, truth) is truth
 
 
 def test_a_robot_that_was_moved_is_no_excursion_if_poses_become_more_frequent():
@@ -410,12 +408,10 @@ def test_markers_that_are_swapped_for_a_moment_are_left_out(degrees, hidden_s):
     np.testing.assert_array_equal(left.stamps_ns, truth.stamps_ns[~out])
 
 
-def test_markers_that_stay_swapped_are_no_excursion():
-    odometry, truth, _ = tracked(np.radians(90.0), end_s=1e9)
+@pytest.mark.parametrize(
+    ("odometry", "truth", "_out"),
+    [excursion(95.0, 1e9), tracked(np.radians(90.0), end_s=1e9), excursion(95.0, 6.0, localised=False)],
+    ids=["a place that stays", "markers that stay swapped", "what a robot with a tracker may have done"],
+)
+def test_what_stays_or_is_possible_is_no_excursion(odometry, truth, _out):
     assert without_excursions(odometry, truth) is truth
-
-
-def test_what_a_robot_may_have_done_is_no_excursion_of_a_tracker():
-    odometry, truth, _ = excursion(95.0, 6.0)
-    slow = replace(truth, localised=False)
-    assert without_excursions(odometry, slow) is slow

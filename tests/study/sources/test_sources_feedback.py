@@ -59,19 +59,11 @@ def run_of(read, poses, true=None):
     return recording
 
 
-def said_of(read, poses, true=None):
-    return " ".join(run_of(read, poses, true).notes)
-
-
-def pulled_per_s(recording):
-    return recording.pulled_per_s
-
-
 @pytest.mark.parametrize("cause", CAUSES)
 def test_errors_that_pile_up_are_no_filters(read, cause):
     recording = run_of(read, odometry(CAUSES[cause]))
     assert "filter" not in " ".join(recording.notes)
-    assert pulled_per_s(recording) == 0.0
+    assert recording.pulled_per_s == 0.0
 
 
 @pytest.mark.parametrize(("cause", "pull"), [("noise", 0.1), ("wide wheels", 0.2), ("a biased gyro", 0.2)])
@@ -80,7 +72,7 @@ def test_errors_that_fade_are_and_what_can_be_learned_is_said(read, cause, pull)
     said = " ".join(recording.notes)
     assert "its errors fade by" in said
     assert "(clocks and lags are unaffected); record wheel-only odometry" in said
-    assert 0.3 * pull < pulled_per_s(recording) < 1.5 * pull
+    assert 0.3 * pull < recording.pulled_per_s < 1.5 * pull
 
 
 def test_a_compass_corrects_headings_and_no_positions(read):
@@ -94,7 +86,7 @@ def test_a_compass_corrects_headings_and_no_positions(read):
     recording = run_of(read, poses)
     assert "its errors of heading fade by" in (said := " ".join(recording.notes))
     assert "as those of a compass or of a yaw error that depends on the heading" in said
-    assert pulled_per_s(recording) > 0.1
+    assert recording.pulled_per_s > 0.1
 
 
 def test_steps_towards_poses_are_taken_out_of_odometry_whose_wheels_make_none(read):
@@ -114,8 +106,8 @@ def test_steps_towards_poses_are_taken_out_of_odometry_whose_wheels_make_none(re
 def test_sideways_errors_of_wheels_are_no_filters(read, pull):
     real = sideways()
     poses = odometry(lambda steps, rng: noise(steps, rng) + steps * [0.0, 0.08, 0.0], pull, real=real)
-    said = said_of(read, poses, real + np.random.default_rng(9).normal(0.0, 0.002, real.shape))
-    assert ("its errors fade by" in said) == bool(pull)
+    recording = run_of(read, poses, real + np.random.default_rng(9).normal(0.0, 0.002, real.shape))
+    assert ("its errors fade by" in " ".join(recording.notes)) == bool(pull)
 
 
 def test_a_truth_that_is_corrected_is_no_filter_of_the_odometry(read):
@@ -124,7 +116,7 @@ def test_a_truth_that_is_corrected_is_no_filter_of_the_odometry(read):
     error = np.zeros(REAL.shape)
     for i, new in enumerate(rng.normal(0.0, [0.03, 0.03, 0.004], REAL.shape)[1:], start=1):
         error[i] = keeps * error[i - 1] + np.sqrt(1.0 - keeps**2) * new
-    assert "fade" not in said_of(read, wheels, REAL + error)
+    assert "fade" not in " ".join(run_of(read, wheels, REAL + error).notes)
 
 
 def test_headings_that_a_map_of_scans_corrects_are_no_filter_of_the_odometry():
@@ -211,19 +203,12 @@ def test_other_zeros_are_no_dead_band(reported):
     assert yaw_dead_band(*banded_run(reported)) == 0.0
 
 
-def test_a_robot_that_never_turns_slowly_has_no_dead_band():
+@pytest.mark.parametrize("curvature_radpm", [0.0, 0.05], ids=["equal wheels", "unequal wheels"])
+def test_a_robot_that_is_never_told_to_turn_slowly_has_no_dead_band(curvature_radpm):
     rng = np.random.default_rng(3)
     v, w = driven(rng)
     w = np.where(np.abs(w) < BAND, 0.0, w)
-    truth = seen("/mocap/pose", v, w, (5e-4, 1e-3), rng)
-    assert yaw_dead_band(seen("/odom", v, w), truth) == 0.0
-
-
-def test_unequal_wheels_that_turn_a_robot_with_straight_commands_are_no_dead_band():
-    rng = np.random.default_rng(3)
-    v, w = driven(rng)
-    w = np.where(np.abs(w) < BAND, 0.0, w)
-    truth = seen("/mocap/pose", v, w + 0.05 * v, (5e-4, 1e-3), rng)
+    truth = seen("/mocap/pose", v, w + curvature_radpm * v, (5e-4, 1e-3), rng)
     assert yaw_dead_band(seen("/odom", v, w), truth) == 0.0
 
 

@@ -7,7 +7,8 @@ from sourcedrive import Rows, odometry, samples, truth
 
 import odomcorrupt as oc
 from odomcorrupt.geometry.se2 import compose
-from odomcorrupt.study.io.fixes import Fixes, east_north_up, frame_of, origin_of, resolved, without_float_episodes
+from odomcorrupt.model.motion_model import Origin
+from odomcorrupt.study.io.fixes import east_north_up, frame_of, resolved, without_float_episodes
 
 
 @pytest.mark.parametrize(
@@ -45,11 +46,10 @@ def test_frames_of_two_origins_agree_on_where_a_fix_lies():
     fixes = np.array([[48.1, 11.5, 520.0], [48.1031, 11.5064, 525.0], [48.1002, 11.5011, 519.0]])
     other = np.array([48.1043, 11.4946, 500.0])
     both = east_north_up(np.concatenate((other[None], fixes)))[1:]
-    moved = compose(
-        frame_of(origin_of(fixes[0]), origin_of(other)), np.column_stack((east_north_up(fixes)[:, :2], [0] * 3))
-    )
+    here, there = Origin(*fixes[0]), Origin(*other)
+    moved = compose(frame_of(here, there), np.column_stack((east_north_up(fixes)[:, :2], [0] * 3)))
     np.testing.assert_allclose(moved[:, :2], both[:, :2], atol=2e-3)
-    back = compose(frame_of(origin_of(other), origin_of(fixes[0])), frame_of(origin_of(fixes[0]), origin_of(other)))
+    back = compose(frame_of(there, here), frame_of(here, there))
     np.testing.assert_allclose(back, 0.0, atol=2e-3)
 
 
@@ -65,7 +65,8 @@ def lla(xyz, latitude=48.0, longitude=8.0):
 def fixes(status, sigma_m, seconds=TIMES):
     place = lla(np.column_stack((seconds, 0.3 * seconds)))
     several = [np.broadcast_to(x, len(seconds)) for x in (status, sigma_m)]
-    return Fixes((seconds * 1e9).astype(np.int64), place, several[0].astype(np.int8), 2.0 * several[1] ** 2)
+    fixed = samples(seconds, place, np.full(len(seconds), np.nan), name="/fix", variance_m2=2.0 * several[1] ** 2)
+    return fixed, several[0].astype(np.int8)
 
 
 def between(*spans):
@@ -83,25 +84,25 @@ def between(*spans):
     ids=["status alone", "covariance alone", "status unknown", "both, in part"],
 )
 def test_float_episodes_are_left_out_and_said_in_one_line(status, sigma_m):
-    found = resolved(fixes(status, sigma_m))
-    assert np.array_equal(found.rows, np.flatnonzero(~between((20, 40), (70, 81))))
-    assert found.notes[0].startswith("2 float episodes, 31 s, left out (155 of 500 fixes")
+    found = resolved(*fixes(status, sigma_m))
+    np.testing.assert_allclose(found.t_s, TIMES[~between((20, 40), (70, 81))])
+    assert found.notes[0].startswith("/fix: 2 float episodes, 31 s, left out (155 of 500 fixes")
 
 
 def test_an_episode_lasts_until_the_receiver_is_as_sure_again_as_it_is_when_fixed():
     settling = np.where(between((20, 60)), np.maximum(0.4 * np.exp(-(TIMES - 20.0) / 12.0), 0.04), 0.014)
-    found = resolved(fixes(2, settling))
-    assert np.array_equal(found.rows, np.flatnonzero(~between((20, 60))))
+    found = resolved(*fixes(2, settling))
+    np.testing.assert_allclose(found.t_s, TIMES[~between((20, 60))])
 
 
 def test_geometry_that_is_poor_for_a_while_is_no_episode():
-    assert len(resolved(fixes(2, np.where(between((20, 60)), 0.04, 0.014))).rows) == len(TIMES)
+    assert len(resolved(*fixes(2, np.where(between((20, 60)), 0.04, 0.014)))) == len(TIMES)
 
 
 def test_a_moment_of_fixes_between_two_float_episodes_is_not_trusted():
-    found = resolved(fixes(np.where(between((20, 40), (41.5, 50)), 0, 2), 0.0))
-    assert np.array_equal(found.rows, np.flatnonzero(~between((20, 50))))
-    assert found.notes[0].startswith("1 float episode, 30 s,")
+    found = resolved(*fixes(np.where(between((20, 40), (41.5, 50)), 0, 2), 0.0))
+    np.testing.assert_allclose(found.t_s, TIMES[~between((20, 50))])
+    assert found.notes[0].startswith("/fix: 1 float episode, 30 s,")
 
 
 @pytest.mark.parametrize(
@@ -110,22 +111,21 @@ def test_a_moment_of_fixes_between_two_float_episodes_is_not_trusted():
     ids=["a receiver that says nothing", "fixed", "single", "more than one geometry", "fixed for a tenth of the time"],
 )
 def test_of_fixes_that_are_alike_none_is_left_out(status, sigma_m):
-    assert len(resolved(fixes(status, sigma_m)).rows) == len(TIMES)
+    assert len(resolved(*fixes(status, sigma_m))) == len(TIMES)
 
 
 def test_a_truth_that_mostly_floats_is_used_and_said_to_be_coarse():
-    found = resolved(fixes(np.where(between((0, 20)), 2, 2), np.where(between((0, 20)), 0.014, 0.3)))
-    assert len(found.rows) == len(TIMES)
+    found = resolved(*fixes(np.where(between((0, 20)), 2, 2), np.where(between((0, 20)), 0.014, 0.3)))
+    assert len(found) == len(TIMES)
     assert "only 20% of its fixes are as good as the best" in found.notes[0]
 
 
 def test_messages_without_a_fix_are_left_out_and_outages_are_counted():
     silent, lost = between((30, 44)), between((60, 66))
-    several = fixes(np.where(lost, -1, 2), 0.014)
-    several = Fixes(*(part[~silent] for part in several))
-    found = resolved(several)
-    assert found.notes[:2] == ("30 messages without a fix left out", "2 outages, 20 s without any fix")
-    assert len(found.rows) == np.sum(~silent & ~lost)
+    every, status = fixes(np.where(lost, -1, 2), 0.014)
+    found = resolved(every.only(~silent), status[~silent])
+    assert found.notes[:2] == ("/fix: 30 messages without a fix left out", "/fix: 2 outages, 20 s without any fix")
+    assert len(found) == np.sum(~silent & ~lost)
 
 
 @pytest.mark.parametrize("by", ["variance", "status"])

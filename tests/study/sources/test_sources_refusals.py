@@ -44,28 +44,33 @@ def csv_file(path, rows, header="t,x,y,yaw", scale=1.0, yaw_scale=1.0, every=1):
     return path
 
 
-def test_too_short(refused):
-    assert "/odom: lasts 6.0 s; a study takes 10 s, better minutes" in refused(odometry(6.0), truth(6.0))
+def still(rows):
+    noise = 1e-3 * np.random.default_rng(1).standard_normal(rows.xyz.shape)
+    return rows.having(xyz=noise, yaw=noise[:, 0])
 
 
-def test_too_few_poses_in_common(refused):
-    line = refused(real=truth().only(slice(None, None, 66)))
-    assert "/truth: only 15 of its 15 poses are in the common time of odometry and truth; 20 and more" in line
+def shrunk(rows):
+    return rows.having(xyz=rows.xyz * 1e-3, yaw=rows.yaw * 1e-3)
 
 
-def test_no_motion(refused):
-    def still(rows):
-        noise = 1e-3 * np.random.default_rng(1).standard_normal(rows.xyz.shape)
-        return rows.having(xyz=noise, yaw=noise[:, 0])
-
-    assert "/odom: no motion: 1 mm and 0.4 deg in 30 s; record a drive" in refused(still(odometry()), still(truth()))
-
-
-def test_one_of_the_two_that_stands_still(refused):
-    moved, real = odometry(), truth()
-    assert "/truth: stands still while the odometry moves over" in refused(real=real.having(xyz=real.xyz * 1e-3))
-    still = moved.having(xyz=moved.xyz * 1e-3, yaw=moved.yaw * 1e-3)
-    assert "/odom: stands still while the truth moves over" in refused(still)
+@pytest.mark.parametrize(
+    ("moved", "real", "said"),
+    [
+        (odometry(6.0), truth(6.0), "/odom: lasts 6.0 s; a study takes 10 s, better minutes"),
+        (
+            odometry(),
+            truth().only(slice(None, None, 66)),
+            "/truth: only 15 of its 15 poses are in the common time of odometry and truth; 20 and more",
+        ),
+        (still(odometry()), still(truth()), "/odom: no motion: 1 mm and 0.4 deg in 30 s; record a drive"),
+        (odometry(), shrunk(truth()), "/truth: stands still while the odometry moves over"),
+        (shrunk(odometry()), truth(), "/odom: stands still while the truth moves over"),
+        (odometry(), truth().having(xyz=np.full((990, 3), np.nan)), "/truth: none of its 990 positions is a number"),
+    ],
+    ids=["short", "few poses in common", "no motion", "the truth stands still", "the odometry does", "no number"],
+)
+def test_what_is_no_drive(refused, moved, real, said):
+    assert said in refused(moved, real)
 
 
 def test_no_overlap_says_both_spans_and_the_shift_that_makes_them_match(refused, tmp_path):
@@ -114,11 +119,6 @@ def test_a_wrong_topic_names_the_near_miss(refused):
     assert "did you mean /odom" not in line
     line = refused(None, None, "--truth", "/trut")
     assert "/trut (did you mean /truth? found /odom, /truth). Name another with --truth, a file with" in line
-
-
-def test_nothing_but_nan(refused):
-    real = truth()
-    assert "/truth: none of its 990 positions is a number" in refused(real=real.having(xyz=real.xyz * np.nan))
 
 
 def straight(rows):
