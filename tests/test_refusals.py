@@ -77,6 +77,7 @@ REFUSED = {
     "presest": "did you mean presets?",
     "presets burger": "did you mean turtlebot3-burger?",
     f"{OFFICE} out.mcap --preset husk": "did you mean husky?",
+    "sample -o gone/out.csv": "gone/out.csv: the directory gone does not exist; create it first\n",
     "fit robot.toml": "no recording given; name a bag with odometry and truth",
 }
 PIPES = {
@@ -150,9 +151,12 @@ def test_a_library_that_is_missing_is_named_with_what_to_install(library, words,
     assert 'in a copy of the repository, pip install ".[study]"' in line
 
 
-def test_a_directory_that_is_not_there_is_reported(here, capsys):
-    line = refused("sample -o gone/out.csv", capsys)
-    assert line == "odomcorrupt: gone/out.csv: the directory gone does not exist; create it first\n"
+@pytest.mark.parametrize("words", ["{} out.mcap --model", "preview {} --model", "compare {}", "sample --model",
+                                   "density --model", "export --to nav2"])  # fmt: skip
+def test_a_model_file_is_refused_by_its_name_and_is_no_wrong_usage(words, here, capsys):
+    Path("bad.toml").write_text(ROBOT.replace("diffusion", "cubic"))
+    assert run(f"{words} bad.toml".format(OFFICE).split()) == 1
+    assert capsys.readouterr().err.startswith("odomcorrupt: bad.toml: no law is called 'cubic'; there are ")
 
 
 @pytest.mark.slow

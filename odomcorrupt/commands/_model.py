@@ -246,7 +246,8 @@ def _choose_noise(given: Mapping[str, Any], example: str | None) -> Model:
         return choose_model(given)
     chosen_example = example_named(example or DEFAULT_EXAMPLE)
     noise = replace(chosen_example.noise, law_name="article-code") if listing else chosen_example.noise
-    return _refined(Model.of(MotionModel(noise), chosen_example.source), given["step"], None)
+    with usage_errors(ModelError):
+        return _refined(Model.of(MotionModel(noise), chosen_example.source), given["step"], None)
 
 
 def choose_move(given: Mapping[str, Any]) -> ChosenMove:
@@ -258,18 +259,16 @@ def choose_move(given: Mapping[str, Any]) -> ChosenMove:
 
     with usage_errors(ModelError):
         example = example_named(given["example"] or DEFAULT_EXAMPLE)
-        model = _choose_noise(given, given["example"])
+    model = _choose_noise(given, given["example"])
     if model.effects:
         raise click.UsageError(
             "effects act over time, and a single motion has no duration: name a bag, or leave --effect out"
         )
-    first, last = np.array(example.start_xyt), np.array(example.end_xyt)
-    if given["end"] is not None:
-        # a motion given by --end begins at the origin unless --start is given
-        first, last = np.zeros(3), np.array(given["end"])
-    start = first if given["start"] is None else np.array(given["start"])
-    # with --start alone, the example's motion is applied from there
-    end = last if given["end"] is not None else compose(start, between(first, last))
+    # a motion given by --end begins at the origin, that of an example where it does, unless --start is given
+    begin = example.start_xyt if given["end"] is None else (0.0, 0.0, 0.0)
+    start = np.array(begin if given["start"] is None else given["start"])
+    motion = between(np.array(example.start_xyt), np.array(example.end_xyt))
+    end = compose(start, motion) if given["end"] is None else np.array(given["end"])
     return ChosenMove(model, tuple(start.tolist()), tuple(end.tolist()), given["count"] or example.count)
 
 

@@ -76,7 +76,7 @@ class Noise:
     step: Step | None = None
 
     def __post_init__(self) -> None:
-        if self.step is not None and not self.law.per_step:
+        if not self.law.per_step and self.step is not None:
             raise ModelError(f"step: {self.step}; the law {self.law_name} is the same at every step: leave --step out")
 
     @property
