@@ -77,6 +77,7 @@ REFUSED = {
     "presest": "did you mean presets?",
     "presets burger": "did you mean turtlebot3-burger?",
     f"{OFFICE} out.mcap --preset husk": "did you mean husky?",
+    "sample -o mine.csv": "mine.csv: exists already; choose another name or pass --overwrite",
     "sample -o gone/out.csv": "gone/out.csv: the directory gone does not exist; create it first\n",
     "fit robot.toml": "no recording given; name a bag with odometry and truth",
 }
@@ -94,17 +95,18 @@ PIPES = {
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "robot.toml").write_text(ROBOT)
+    (tmp_path / "mine.csv").write_text("mine")
     return tmp_path
 
 
 def refused(words, capsys):
     """Run what must fail; return the line that says why."""
-    before = set(Path.cwd().rglob("*"))
+    before = {path: path.stat().st_mtime_ns for path in Path.cwd().rglob("*")}
     assert run(shlex.split(words)) in (1, 2)
     err = capsys.readouterr().err
     assert err.startswith("odomcorrupt: ")
     assert err.count("\n") == 1
-    assert set(Path.cwd().rglob("*")) == before
+    assert {path: path.stat().st_mtime_ns for path in Path.cwd().rglob("*")} == before
     return err
 
 

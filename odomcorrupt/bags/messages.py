@@ -361,8 +361,10 @@ def gather(block: Block, layout: Layout, item: Item, field: str) -> NDArray[np.f
 def scatter(block: Block, layout: Layout, item: Item, field: str, values: NDArray[np.float64]) -> None:
     """Write values (n, count) of a field of all messages of a layout into the block's data, in place; see `gather`."""
     offset, count = item.fields[field]
-    rows = np.broadcast_to(values, (layout.starts.size, count))
-    _put(block, layout, layout.starts + offset, rows, item.number)
+    raw = np.empty((layout.starts.size, count), layout.order + item.number)
+    raw[:] = values
+    width = raw.itemsize * count
+    windows(block.data, width)[layout.starts + offset] = raw.view(f"V{width}")[:, 0]
 
 
 def scatter_columns(
@@ -371,26 +373,15 @@ def scatter_columns(
 ) -> None:  # fmt: skip
     """Write some columns of a field, ascending, into the messages in `which`, in place; values are (n,) for each."""
     offset, _ = item.fields[field]
-    starts = layout.starts[which] + offset
+    chosen = layout._replace(starts=layout.starts[which])
     begin = 0
     while begin < len(columns):
         end = begin + 1
         while end < len(columns) and columns[end] == columns[end - 1] + 1:
             end += 1
-        run = np.empty((len(starts), end - begin))
-        for column, own in enumerate(values[begin:end]):
-            run[:, column] = own[which]
-        _put(block, layout, starts + 8 * columns[begin], run)
+        run = item._replace(fields={field: (offset + 8 * columns[begin], end - begin)})
+        scatter(block, chosen, run, field, np.column_stack([own[which] for own in values[begin:end]]))
         begin = end
-
-
-def _put(
-    block: Block, layout: Layout, places: NDArray[np.int64], values: NDArray[np.float64], number: str = "f8"
-) -> None:
-    """Write rows of numbers (n, k) of a type at offsets (n,) of the block's data."""
-    raw = np.ascontiguousarray(values, dtype=layout.order + number)
-    width = raw.itemsize * raw.shape[1]
-    windows(block.data, width)[places] = raw.view(f"V{width}")[:, 0]
 
 
 def gather_stamps_ns(block: Block, layout: Layout, item: Item) -> NDArray[np.int64]:

@@ -15,7 +15,7 @@ from odomcorrupt.bags.record_reader import loss_of
 from odomcorrupt.bags.ros1.reader import Ros1Reader
 from odomcorrupt.bags.rosbag2.bounded_yaml import read_text
 from odomcorrupt.bags.rosbag2.compression import SUFFIXES, Mode, UnpackedFiles, UnpackedMessages
-from odomcorrupt.bags.rosbag2.metadata import read_info
+from odomcorrupt.bags.rosbag2.metadata import differences, read_info
 from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader
 from odomcorrupt.bags.source import MCAP, ROS1, SNIFFED, SQLITE, ZSTD, Source, unknown
 from odomcorrupt.errors import BagError
@@ -35,14 +35,16 @@ class BagFiles:
 
     files : in the order of recording
     metadata : text of metadata.yaml, or None without one
-    stated : number of messages that it states, or None
+    info : the bag information in it, empty without one
+    unlisted : names of other bags in the directory
     mode : what of the bag is compressed
     losses : files that are not there, and an unreadable metadata.yaml, one sentence each, with recovery
     """
 
     files: list[Path]
     metadata: str | None = None
-    stated: int | None = None
+    info: Mapping[str, Any] = field(default_factory=dict)
+    unlisted: str = ""
     mode: Mode = "none"
     losses: list[str] = field(default_factory=list)
 
@@ -66,7 +68,7 @@ def find_files(path: Path, *, recover: bool = False) -> BagFiles:
         if not (recover and metadata.exists()):
             raise
         found = _named(path, recover=recover)
-        found.losses.insert(0, loss_of(error))
+        found.losses.insert(0, f"{path}: {metadata.name} {loss_of(error).removeprefix(f'{metadata}: ')}")
     seen: dict[tuple[int, int], str] = {}
     for file in found.files:
         if not file.is_file():
@@ -96,16 +98,14 @@ def _listed(directory: Path, *, recover: bool) -> BagFiles:
     files = [directory / str(name).replace("\\", "/").rsplit("/", 1)[-1] for name in info["relative_file_paths"]]
     there = [file for file in files if file.exists()]
     missing = [file.name for file in files if not file.exists()]
+    held = _shortened([file.name for file in _bags_in(directory) if file not in files])
     if not there or (missing and not recover):
-        held = _shortened([file.name for file in _bags_in(directory) if file not in files])
         raise BagError(
             f"{metadata}: lists {_shortened(missing) or 'no file'}, which is not there{held and f' (but {held} is)'}; "
             "restore or rename the file, or remove metadata.yaml: the directory's files are then read by their names"
         )
     losses = [f"{directory}: {name} is listed in metadata.yaml and is not there" for name in missing]
-    count = info.get("message_count")
-    stated = count if isinstance(count, int) and not losses else None
-    return BagFiles(there, read_text(metadata), stated, cast("Mode", mode), losses)
+    return BagFiles(there, read_text(metadata), info, held, cast("Mode", mode), losses)
 
 
 def _bags_in(path: Path) -> list[Path]:
@@ -214,8 +214,7 @@ class PartsReader:
         self.mode = found.mode
         self.paths = [path]
         self.parts: list[Part] = []
-        self._stated = found.stated
-        self._lost = found.losses
+        self._found = found
         self._unpacked: UnpackedFiles | None = None
         with ExitStack() as opened:
             files = found.files
@@ -231,7 +230,7 @@ class PartsReader:
                     if not recover:
                         raise
                     failed = failed or error
-                    self._lost.append(f"{path}: {name.name} {loss_of(error).removeprefix(f'{name}: ')}")
+                    found.losses.append(f"{path}: {name.name} {loss_of(error).removeprefix(f'{name}: ')}")
                     continue
                 opened.push(part)
                 if self.mode == "none" and not isinstance(part, Ros1Reader) and part.packed:
@@ -259,14 +258,18 @@ class PartsReader:
     def losses(self) -> list[str]:
         """Files, and parts of files, that could not be read, one sentence each."""
         packed = [] if self._unpacked is None else self._unpacked.losses
-        return [*self._lost, *packed, *(loss for part in self.parts for loss in part.losses)]
+        return [*self._found.losses, *packed, *(loss for part in self.parts for loss in part.losses)]
 
     @property
     def remarks(self) -> list[str]:
         """What metadata.yaml states and the files do not hold, after a pass, one sentence each."""
-        if self._stated in (None, self.count) or not self.count:
+        if not self.count or self.metadata is None:
             return []
-        return [f"metadata.yaml states {self._stated} messages, the files hold {self.count}: an output states these"]
+        topics = [(channel.topic, channel.msgtype) for channel in self.channels.values()]
+        said = differences(self._found.info, self.kind, self.count, topics)
+        if self._found.unlisted:
+            said.append(f"metadata.yaml does not list {self._found.unlisted}: left out, unless it is removed")
+        return said
 
     @property
     def count(self) -> int:

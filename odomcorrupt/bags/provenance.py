@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
+from io import BytesIO
 from typing import TYPE_CHECKING
 
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode as Op
+from mcap.records import Metadata
 
 from odomcorrupt.bags.mcap.chunk import RECORD_HEADER_BYTES, McapFraming
 from odomcorrupt.errors import BagError
@@ -33,12 +38,10 @@ class ProvenanceWatcher:
     def __call__(self, block: Block) -> None:
         """Read the metadata of a block."""
         if isinstance(block.raw, McapFraming) and block.raw.opcode == Op.METADATA:
-            content = block.data.tobytes()[RECORD_HEADER_BYTES:]
-            try:
-                if content[4 : 4 + struct.unpack_from("<I", content)[0]].decode() == NAME:
-                    self._found.append(mapping_of(content))
-            except (struct.error, UnicodeDecodeError, ValueError):
-                pass  # a record of another program with this name
+            # a damaged record, or one of another program, tells nothing
+            with suppress(struct.error, UnicodeDecodeError, EndOfFile):
+                record = metadata_of(block)
+                self._found += [record.metadata] if record.name == NAME else []
         self._watch(block)
 
     def provenance(self, source: Path | None) -> tuple[dict[str, str], ...]:
@@ -59,13 +62,6 @@ class ProvenanceWatcher:
         return (own,) if own else ()
 
 
-def mapping_of(content: bytes) -> dict[str, str]:
-    """Return the key-value strings of a metadata record's content."""
-    words: list[str] = []
-    at = 4 + struct.unpack_from("<I", content)[0]
-    at += 4
-    while at < len(content):
-        (size,) = struct.unpack_from("<I", content, at)
-        words.append(content[at + 4 : at + 4 + size].decode())
-        at += 4 + size
-    return dict(zip(words[::2], words[1::2], strict=True))
+def metadata_of(block: Block) -> Metadata:
+    """Return the metadata record that a block of an MCAP consists of."""
+    return Metadata.read(ReadDataStream(BytesIO(block.data.tobytes()[RECORD_HEADER_BYTES:])))

@@ -10,10 +10,10 @@ from mcap.opcode import Opcode as Op
 
 from odomcorrupt.bags.block import Block, ReaderView, without
 from odomcorrupt.bags.codecs import compress_for_ros1
-from odomcorrupt.bags.mcap.chunk import RECORD_HEADER_BYTES, McapFraming
+from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.mcap.writer import McapWriter, Packed, packed
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.bags.provenance import mapping_of
+from odomcorrupt.bags.provenance import metadata_of
 from odomcorrupt.bags.ros1.chunk import Ros1Framing
 from odomcorrupt.batching.sinks import BagSink, bag_writer
 from odomcorrupt.errors import BatchError
@@ -217,7 +217,7 @@ class _Messages:
     def _messages(self) -> Iterator[tuple[str, int, memoryview]]:
         for block in self._reader.blocks():
             if isinstance(block.raw, McapFraming) and block.raw.opcode == Op.METADATA:
-                self.provenance = mapping_of(block.data.tobytes()[RECORD_HEADER_BYTES:])
+                self.provenance = metadata_of(block).metadata
             for channel, log_ns, offset, length in block.table.tolist():
                 yield self._reader.channels[channel].topic, log_ns, block.data.data[offset : offset + length]
 

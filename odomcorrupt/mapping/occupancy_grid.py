@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from odomcorrupt.bags.rosbag2.bounded_yaml import load_plain
+from odomcorrupt.bags.rosbag2.bounded_yaml import load_yaml
 from odomcorrupt.errors import MapError, RecordingError
 from odomcorrupt.geometry.se2 import rotate
 from odomcorrupt.input_files import open_input, read_input
@@ -142,7 +142,7 @@ def format_map(grid: Grid, image_name: str) -> tuple[bytes, str]:
 def _keys(path: Path) -> dict[str, str]:
     """Return the keys of a map's .yaml, as text."""
     try:
-        found = load_plain(read_input(path, _YAML_BYTES, "map's .yaml", MapError).decode(errors="replace"))
+        found = load_yaml(read_input(path, _YAML_BYTES, "map's .yaml", MapError).decode(errors="replace"))
     except ValueError as error:
         raise MapError(
             f"{path}: is not a map's .yaml of names and numbers: {error}; name the one that comes with the image"

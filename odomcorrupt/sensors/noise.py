@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from odomcorrupt.bags.messages import gather, scatter
-from odomcorrupt.bags.rosbag2.bounded_yaml import load_plain
+from odomcorrupt.bags.rosbag2.bounded_yaml import load_yaml
 from odomcorrupt.errors import ModelError
 from odomcorrupt.input_files import read_input
 from odomcorrupt.rng import stream
@@ -52,7 +52,7 @@ def read_imu(path: Path) -> ImuNoise:
     """
     text = read_input(path, 1 << 14, "file of an IMU's noise", ModelError).decode(errors="replace")
     try:
-        table = load_plain(text)
+        table = load_yaml(text)
     except ValueError as error:
         raise ModelError(f"{path}: is no YAML: {error}") from error
     table = table.get("imu0", table) if isinstance(table, dict) else {}

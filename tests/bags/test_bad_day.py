@@ -162,6 +162,7 @@ def test_all_messages_of_the_other_parts_are_saved_and_the_loss_is_said(
     listed = described and storage != "ros1"
     assert bool(losses) == (harm != "is gone" or listed or 0 < at < parts - 1)
     assert all(loss.startswith(str(room)) for loss in losses)
+    assert all(loss.startswith(str(room)) for loss in losses)
     if storage != "ros1":
         assert info_of(out)["message_count"] == saved.total()
 
@@ -204,6 +205,8 @@ STATED = {
     "topics that are none": lambda info: info.update(topics_with_message_count=[3, "x"]),
     "times of a year": lambda info: info.update(starting_time={"nanoseconds_since_epoch": 1}),
     "no version": lambda info: info.pop("version"),
+    "a version in quotes": lambda info: info.update(version="9"),
+    "another type": lambda info: info["topics_with_message_count"][0]["topic_metadata"].update(type="a/msg/B"),
     "files of another bag": lambda info: info.update(files=[{"path": "other.db3", "message_count": 5}]),
 }
 
@@ -216,9 +219,12 @@ def test_what_is_stated_is_what_was_counted(storage, wrong, tmp_path, capsys):
     STATED[wrong](document["rosbag2_bagfile_information"])
     dump(document, tmp_path / "in")
     assert run([str(tmp_path / "in"), str(tmp_path / "out"), "--seed", "3", "-v"]) == 0
-    assert ("metadata.yaml states 0 messages, the files hold 80" in capsys.readouterr().err) == (wrong == "counts of 0")
+    said = {"counts of 0": "states 0 messages, the files hold 80", "a topic missing": "does not list /text (",
+            "no storage": "states the storage '',", "another type": "does not list /odom (nav_msgs"}  # fmt: skip
+    assert said.get(wrong, "") in capsys.readouterr().err
     info = info_of(tmp_path / "out")
     assert info["storage_identifier"] == storage
+    assert "a/msg/B" not in {one["topic_metadata"]["type"] for one in info["topics_with_message_count"]}
     assert info["message_count"] == seen(tmp_path / "out").total() == 4 * EACH
     assert info["starting_time"]["nanoseconds_since_epoch"] == T0_NS
     assert info["duration"]["nanoseconds"] == (2 * EACH - 1) * 10**8

@@ -62,14 +62,6 @@ def test_wrong_usage_is_reported_in_one_line(arguments, word, capsys):
     assert word in lines[0]
 
 
-def test_existing_output_is_kept(tmp_path, capsys):
-    out = tmp_path / "a.csv"
-    out.write_text("mine")
-    assert run(["sample", "-o", str(out)]) == 1
-    assert out.read_text() == "mine"
-    assert "--overwrite" in capsys.readouterr().err
-
-
 def test_start_alone_moves_the_examples_motion(capsys):
     parts = []
     for start in ([], ["--start", "5,-3,0.1"]):

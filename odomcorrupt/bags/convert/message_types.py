@@ -20,7 +20,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
 from odomcorrupt.bags.definition import plain_text
-from odomcorrupt.bags.rosbag2.bounded_yaml import load_plain
+from odomcorrupt.bags.rosbag2.bounded_yaml import load_yaml
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def latched_qos() -> str:
 def stays_for_late_subscribers(profiles: str) -> bool:
     """Return whether some publisher's last messages are sent to late subscribers: durability is transient local."""
     try:
-        offered: Any = load_plain(profiles) if profiles else []
+        offered: Any = load_yaml(profiles) if profiles else []
     except ValueError:
         return False
     if not isinstance(offered, list):

@@ -118,6 +118,7 @@ class ConvertedReader(RewrittenReader):
             self._exclude[topic] = before | edges if before and edges else frozenset()
         self._edges_left_out = 0
         self._rename: dict[str, str] = {}
+        topics = sorted({channel.topic for channel in known or ()})
         for words in rename:
             old, _, new = words.rpartition("=")
             if not old or not new or (ros != 1 and not ros1 and not _ROS2_NAME.fullmatch(new)):
@@ -125,12 +126,15 @@ class ConvertedReader(RewrittenReader):
                     f"--rename {words}: write OLD=NEW, a topic and its new name, which has letters, digits, _ and / in "
                     "ROS 2, and no digit first"
                 )
+            if reader.complete and old.lstrip("/") not in {topic.lstrip("/") for topic in topics}:
+                raise TopicError(
+                    f"--rename {words}: {self.name} has no such topic (it has {', '.join(topics)}); name one of these"
+                )
             self._rename[old.lstrip("/")] = new
         self._topics: dict[str, str] = {}
         self._first: dict[tuple[str, str], int] = {}
         self._types: dict[tuple[str, str, bytes], MessageType] = {}
         if reader.complete:
-            self._require_known("--rename", self._rename)
             self._require_convertible()
             self._require_distinct()
 
@@ -147,15 +151,13 @@ class ConvertedReader(RewrittenReader):
             for old, new in self._topics.items()
             if old != new and old.lstrip("/") not in self._rename
         ]
-        said = [f"ROS 2 forbids names of topics: {', '.join(forbidden)}; --rename OLD=NEW chooses others"]
+        said = [*getattr(self.reader, "remarks", ()), *sorted(lost)]
+        if forbidden:
+            said.append(f"ROS 2 forbids names of topics: {', '.join(forbidden)}; --rename OLD=NEW chooses others")
         edges = ", ".join(sorted(topic for topic, edges in self._exclude.items() if edges))
-        stay = [f"/{edges}: no transform of the edge to leave out was found"]
-        return [
-            *getattr(self.reader, "remarks", ()),
-            *sorted(lost),
-            *(said if forbidden else []),
-            *(stay if edges and not self._edges_left_out else []),
-        ]
+        if edges and not self._edges_left_out:
+            said.append(f"/{edges}: no transform of the edge to leave out was found")
+        return said
 
     def renamed(self, topic: str) -> str:
         """Return the name that a topic of the input has here."""
@@ -277,12 +279,3 @@ class ConvertedReader(RewrittenReader):
         for (new, first), (same, second) in pairwise(names):
             if new == same:
                 raise BagError(f"--rename: {first} and {second} would both be {new}; choose another name for one")
-
-    def _require_known(self, option: str, topics: Iterable[str]) -> None:
-        """Raise TopicError for a topic that an option names and the bag does not have."""
-        known = sorted({channel.topic for channel in self.reader.channels.values()})
-        for topic in topics:
-            if topic.lstrip("/") not in {one.lstrip("/") for one in known}:
-                raise TopicError(
-                    f"{option} {topic}: {self.name} has no such topic (it has {', '.join(known)}); name one of these"
-                )

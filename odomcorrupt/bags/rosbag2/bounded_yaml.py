@@ -29,14 +29,18 @@ def read_text(path: Path) -> str:
         raise BagError(f"{path}: cannot be read: {shown(error)}") from error
 
 
-def load_plain(text: str) -> Any:
-    """Return a YAML text as dicts, lists, strings and numbers; ValueError if it is invalid or exceeds the bounds."""
-    return _loaded(text, "safe")
+def load_yaml(text: str, kind: str = "safe") -> Any:
+    """Return the data of a YAML text, for kind "rt" with comments and quotes; ValueError if invalid or too large."""
+    from ruamel.yaml.error import YAMLError  # noqa: PLC0415 - as above
 
-
-def load_faithful(text: str) -> Any:
-    """Return the same with comments and quotes kept, for editing."""
-    return _loaded(text, "rt")
+    if len(text) > LARGEST_BYTES:
+        raise ValueError(f"it has more than {LARGEST_BYTES} bytes")
+    try:
+        yaml = yaml_of(kind)
+        yaml.Parser = _bounded(yaml.Parser)
+        return yaml.load(text)
+    except (YAMLError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise ValueError(yaml_problem(error)) from error
 
 
 def yaml_of(kind: str) -> Any:
@@ -62,19 +66,6 @@ def shown(problem: object) -> str:
     strerror = getattr(problem, "strerror", None)
     text = " ".join(str(strerror or problem).split())
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
-
-
-def _loaded(text: str, kind: str) -> Any:
-    from ruamel.yaml.error import YAMLError  # noqa: PLC0415 - as above
-
-    if len(text) > LARGEST_BYTES:
-        raise ValueError(f"it has more than {LARGEST_BYTES} bytes")
-    try:
-        yaml = yaml_of(kind)
-        yaml.Parser = _bounded(yaml.Parser)
-        return yaml.load(text)
-    except (YAMLError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        raise ValueError(yaml_problem(error)) from error
 
 
 def _bounded(parser: type[Any]) -> type[Any]:

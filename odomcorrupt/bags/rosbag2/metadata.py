@@ -9,11 +9,11 @@ from functools import lru_cache
 from io import StringIO
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from odomcorrupt.bags.rosbag2.bounded_yaml import load_faithful, load_plain, read_text, yaml_of, yaml_problem
+from odomcorrupt.bags.rosbag2.bounded_yaml import load_yaml, read_text, yaml_of, yaml_problem
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from odomcorrupt.bags.block import Definition, PartContents
@@ -58,6 +58,25 @@ def read_info(path: Path) -> dict[str, Any]:
     return info
 
 
+def differences(info: Mapping[str, Any], storage: str, number: int, topics: Iterable[tuple[str, str]]) -> list[str]:
+    """Return what bag information states and the files do not hold, one sentence each.
+
+    storage, number, topics : of the files: mcap or sqlite3, of their messages, names and types
+    """
+    try:
+        known = {tuple(map(one["topic_metadata"].get, ("name", "type"))) for one in info["topics_with_message_count"]}
+    except (AttributeError, KeyError, TypeError):
+        known = set()
+    count, stated = info.get("message_count"), info.get("storage_identifier")
+    lacking = ", ".join(f"{topic} ({msgtype})" for topic, msgtype in topics if (topic, msgtype) not in known)
+    said = {
+        f"states {count} messages, the files hold {number}": isinstance(count, int) and count != number,
+        f"states the storage {stated!r}, the files are {storage}": stated != storage,
+        f"does not list {lacking}": lacking,
+    }
+    return [f"metadata.yaml {one}: an output states what is there" for one, wrong in said.items() if wrong]
+
+
 def edited(text: str, change: Callable[[dict[str, Any]], None]) -> str:
     """Return a YAML text with its bag information changed, all else unchanged; the text itself if nothing changes."""
     out = StringIO()
@@ -92,8 +111,8 @@ def count(
     if not isinstance(info.get("version"), int):
         described = [_topic_entry(topic, hashed=True)["topic_metadata"] for topic in topics]
         named = any(isinstance(one["offered_qos_profiles"], list) for one in described)
-        new = {"version": 9 if named else 8, **_NEW}
-        info.update({key: info.get(key) or deepcopy(value) for key, value in new.items()})
+        kept = {key: info.get(key) or deepcopy(value) for key, value in _NEW.items()}
+        info.update({"version": 9 if named else 8, **kept})
     _count_topics(info, parts, topics)
     info["storage_identifier"] = storage
     _span(info, [part for part in parts if part.counts])
@@ -128,9 +147,14 @@ def _count_topics(info: dict[str, Any], parts: Sequence[PartContents], topics: S
         if topic.name not in known:
             known.add(topic.name)
             entries.append(_topic_entry(topic, hashed=hashed))
+    types = [(topic.name, topic.definition.name) for topic in topics]
+    first, pairs = dict(reversed(types)), set(types)
     for entry in entries:
+        stated = entry["topic_metadata"]
+        if stated["name"] in first and (stated["name"], stated.get("type")) not in pairs:
+            stated["type"] = first[stated["name"]]
         # of a name with two types one entry has the count
-        entry["message_count"] = counts.pop(entry["topic_metadata"]["name"], 0)
+        entry["message_count"] = counts.pop(stated["name"], 0)
 
 
 def _span(info: dict[str, Any], parts: Sequence[PartContents]) -> None:
@@ -171,7 +195,7 @@ def _topic_entry(topic: TopicInfo, *, hashed: bool) -> dict[str, Any]:
     if "history: keep" in qos or "history: system" in qos or "history: unknown" in qos:
         # a string that is not YAML is kept
         with suppress(ValueError):
-            qos = load_plain(qos)
+            qos = load_yaml(qos)
     entry = {
         "name": topic.name,
         "type": topic.definition.name,
@@ -186,4 +210,4 @@ def _topic_entry(topic: TopicInfo, *, hashed: bool) -> dict[str, Any]:
 @lru_cache(maxsize=8)
 def _parsed(text: str) -> Any:
     """Return a YAML document with comments and quotes; cached between reading and editing."""
-    return load_faithful(text)
+    return load_yaml(text, "rt")
