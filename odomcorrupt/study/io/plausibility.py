@@ -94,9 +94,9 @@ def cross_correlation(
 
 def _vary(signals: Array) -> NDArray[np.bool_]:
     """Return whether yaw rate and speed (2,) of signals (m, 2) vary more than noise may."""
-    seen = signals[np.isfinite(signals).all(axis=1)]
-    level_mps = np.sqrt(np.mean(seen[:, 1] ** 2)) if len(seen) else np.inf
-    return np.std(seen, axis=0) > (_TURNS_RADPS, max(_SPEEDS_MPS, _SPEEDS * level_mps))
+    seen = np.isfinite(signals).all(axis=1)
+    there = signals[seen] if seen.any() else np.zeros((1, 2))
+    return there.std(axis=0) > (_TURNS_RADPS, max(_SPEEDS_MPS, _SPEEDS * np.sqrt(np.mean(there[:, 1] ** 2))))
 
 
 def _signals(t_s: Array, xyt: Array, grid: Array, smoothing_s: float, *, by_course: bool) -> Array:
