@@ -16,7 +16,7 @@ import numpy as np
 from odomcorrupt.drive_types import STEERED
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.geometry.se2 import Increments, accumulate, increments, wrap
+from odomcorrupt.geometry.se2 import Increments, accumulate, between, increments, wrap
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.study.io.plausibility import check_pair, cross_correlation
 from odomcorrupt.study.io.raw_trajectory import CLOCK_S, FEWEST
@@ -51,6 +51,8 @@ _CLOSE, _CURVED_RADPM, _ARM_M = 0.15, 0.5, 0.03
 """Relative difference of motions that agree, and of turns on straights or travel on the spot: per metre or radian."""
 _ALIKE = 0.06
 """Relative difference of two factors that are the same."""
+_BENT_RAD = 0.1
+"""Turn of a step from which it matters how its travel is directed."""
 _LOST = 2.0
 """Turn between messages, rad, beyond which many exceed half a turn and are lost."""
 _FAST_MPS, _ROBOT_MPS = 60.0, 10.0
@@ -516,6 +518,19 @@ def _folded(look: Look, i: int) -> Figures | None:
     return {"i": i, "count": int(jumps.sum()), "undo": undo}
 
 
+def _euler(look: Look, i: int) -> Figures | None:
+    """Find odometry that goes along its heading at the beginning (0) or the end (1) of each step, not halfway (1/2)."""
+    step = between(*(look.paths[0].trajectory().xyt[part] for part in (slice(-1), slice(1, None))))
+    turn, ahead = wrap(step[:, 2]), np.sign(step[:, 0])
+    bends = (np.abs(turn) > _BENT_RAD) & (np.hypot(step[:, 0], step[:, 1]) > 1e-6) & (np.abs(turn) < np.pi / 2.0)
+    part = (np.arctan2(ahead * step[:, 1], ahead * step[:, 0]) / np.where(bends, turn, np.inf))[bends]
+    if i or bends.sum() < 3 * _FEWEST or np.abs(part - (k := round(float(np.median(part))))).mean() > 0.02:
+        return None
+    rows = np.column_stack((ahead * np.hypot(step[:, 0], step[:, 1]), 0.0 * turn, turn))
+    most = float(np.degrees(np.percentile(np.abs(turn[bends]), 95.0)))
+    return {"at": ("beginning", "end")[k], "most": most, "undo": lambda path: _moved_by(path, rows)}
+
+
 def _unrelated(look: Look, i: int) -> Figures | None:
     """Find headings that follow neither their own path nor the other trajectory."""
     (own, other), (path, beside) = (look.own, look.paths) if i == 0 else (look.own[::-1], look.paths[::-1])
@@ -933,6 +948,9 @@ PATTERNS = (
     Pattern("folded headings", "{who}: its headings are of half a circle alone, and jump by 180 deg {count} times",
             "an arc cosine or tangent of one argument; an angle modulo 180 deg", "take atan2 of both components",
             "the jumps are undone", _folded, alone=True),
+    Pattern("Euler steps", "{who}: each step goes along its heading at the step's {at}, and turns by up to {most} deg",
+            "x += v cos(yaw) dt at a low rate", "use yaw halfway, or integrate at the rate of the wheels",
+            "steps are taken as arcs, and not in the model", _euler, alone=True),
     Pattern("mirrored headings", "{who}: its headings turn the other way than its path does",
             "an axis is mirrored; compass headings", "turn a compass by 90 deg - yaw, or flip the axis",
             "mirrored so that it turns as {other} does", _mirrored_headings, alone=True),

@@ -217,7 +217,8 @@ class Search:
             gain = more.sum(axis=1)
             error = np.minimum(more.std(axis=1, ddof=1) * np.sqrt(more.shape[1]), np.sqrt(2.0 * np.maximum(gain, 0.0)))
             clear = gain / (error + 1e-9)
-            own = np.where(np.isfinite(found.score[1:]), found.score[0] - found.score[1:], np.inf)
+            own = np.full(len(best), np.inf)
+            np.subtract(found.score[0], found.score[1:], out=own, where=np.isfinite(found.score[1:]))
             weak = np.flatnonzero((clear < errors) | (own <= 0.0))
             if not len(weak):
                 break

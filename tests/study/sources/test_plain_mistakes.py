@@ -259,6 +259,21 @@ def test_headings_against_their_own_path(at, name, wrong):
     assert not first_look(Look((found.odometry, found.truth))).mistakes
 
 
+@pytest.mark.parametrize("at", ["beginning", "end"])
+def test_steps_along_one_end_of_their_turn(at):
+    rows = driven()[:5900].reshape(-1, 25, 3).sum(axis=1)
+    yaw = accumulate(np.zeros(3), Increments.of_rows(rows))[:, 2]
+    course = yaw[:-1] if at == "beginning" else yaw[1:]
+    xy = np.cumsum((rows[:, 0] * np.cos(course), rows[:, 0] * np.sin(course)), axis=1).T
+    path = samples(1_700_000_000.0 + np.arange(1, len(rows) + 1) / 2.0, xy, yaw[1:], name="/odom")
+    (mistake,) = mistakes_alone(path)
+    assert mistake.name == "Euler steps"
+    assert f"at the step's {at}" in mistake.said
+    arcs = first_look(Look((path, real(driven())))).odometry
+    assert np.allclose(increments(arcs.trajectory().xyt).rows, rows[1:], atol=1e-9)
+    assert not mistakes_alone(arcs)
+
+
 @pytest.mark.parametrize(("order", "plane"), [([1, 2, 0], "x-z"), ([2, 0, 1], "y-z")])
 def test_another_plane(order, plane):
     rows = driven()
