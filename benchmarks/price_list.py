@@ -75,7 +75,6 @@ RULES = {
     "study.estimate.outliers:heavy_tails": "None",
     "study.io.encoders:restore_lost": "recording",
     "study.select.confidence:_may_be_dead_band": "False",
-    "study.select.confidence:_may_be_of_wheels": "False",
     "study.select.confidence:may_be_scale_of_truth": "False",
     "study.select.dictionary:_patch_of": "[]",
     "study.select.random_effects:_in_both_halves": "True",

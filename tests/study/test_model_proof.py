@@ -107,23 +107,6 @@ def test_of_rough_odometry_a_correction_takes_what_the_fit_took(drive, monkeypat
     assert _corrected_error((brakes,), model, runs) > 1.5 * fitted_m
 
 
-def test_a_law_that_flickers_with_jittering_stamps_is_replaced_by_its_mean(drive, monkeypatch):
-    monkeypatch.setattr(undo, "is_rough", lambda *_: False)  # a jitter that is just not rough
-    silent = Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0))
-    soft = user_effect("soft", "left += v * (k * 1)", {"k": -0.02})
-    wrong = drive.odometry.xyt + corrupted(MotionModel(silent, (soft,), track_m=0.4), drive)
-    jitter_ns = np.random.default_rng(4).integers(-8_000_000, 8_000_000, len(wrong))
-    run = replace(drive, odometry=Trajectory(drive.odometry.stamps_ns + jitter_ns, wrong), track_m=0.4)
-    law = user_effect("soft", "left += v * (k * where(a * sign(v) > -1.5, 1, 0))", {"k": -0.02})
-    found = verified_model(MotionModel(NOISE, (law,), track_m=0.4, standard_errors={"soft.k": 0.001}), [run])
-    (mean,) = found.model.effects
-    assert mean.expression.text == "left += v * k"
-    assert mean.k == pytest.approx(-0.02, rel=0.02)
-    assert "replaced by its mean" in found.changes[0]
-    assert "the fit" in found.changes[0]
-    assert parse_model(format_model(found.model)).source["remarks"] == list(found.changes)
-
-
 @pytest.mark.slow
 def test_a_learned_law_is_tested_at_the_recorded_speeds_themselves(drive):
     # corruption with a learned model may use the relative error of a lower speed; a law that needs it here is no law

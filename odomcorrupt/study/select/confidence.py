@@ -20,7 +20,6 @@ from math import e, erfc, exp, inf, log, sqrt
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.compensation import error_of
-from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, part_name
 from odomcorrupt.study.select.decisions import DECISIONS
@@ -30,8 +29,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.random_effects import DetectedRandomEffect
     from odomcorrupt.study.select.result import Learned, Step
 
-_SHORT_ARM_M = 0.005
-"""Largest lever arm, m, that a larger wheel on an unknown track can imitate."""
 _DECAYING = ("hard_iron",)
 """Effects whose heading errors decay by themselves, as those of a filter with external poses do."""
 EVEN_ODDS = 0.5
@@ -100,7 +97,6 @@ def support_of(step: Step, learned: Learned) -> Support:
     rivals = (
         pulled and name not in (*RIVALS, *_DECAYING),  # pose updates of a filter imitate gains and biases of any kind
         _may_be_dead_band(name, learned),
-        _may_be_of_wheels(name, learned),
         learned.may_be_losses(name),  # lost increments have the same mean error
     )
     return Support(
@@ -151,11 +147,3 @@ def _may_be_dead_band(name: str, learned: Learned) -> bool:
     if effect is None or not _loses_slow_turns(learned):
         return False
     return any(error_of(effect, motion)[:, 2].any() for motion in learned.fit.problem.motions)
-
-
-def _may_be_of_wheels(name: str, learned: Learned) -> bool:
-    """Return whether a small lever arm may come from unequal wheels: curvature k on a track b acts as k b^2 / 4."""
-    motion, arm = learned.fit.problem.motions[0], learned.fit.by_name.get("lever_arm")
-    if name != "lever_arm" or arm is None or motion.track_m is not None or "unequal_wheels" not in learned.fit.by_name:
-        return False
-    return all(abs(getattr(arm, p.name)) < _SHORT_ARM_M for p in amplitudes(arm))

@@ -15,14 +15,12 @@ import numpy as np
 
 from odomcorrupt.correction.undo import undo_effects
 from odomcorrupt.corruption.path import NoisyPath
-from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.effects.expression import UserEffect, user_effect
 from odomcorrupt.errors import EffectError, ModelError, OdomCorruptError
 from odomcorrupt.geometry.se2 import compose, inverse
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.study.estimate.problem import undo
-from odomcorrupt.study.estimate.regressors import MotionSmoother
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.headings import with_recomputed_headings
@@ -217,7 +215,7 @@ def _correctable(model: MotionModel, drives: Sequence[_Drive]) -> tuple[MotionMo
     """Return the simplest model with about the least error after `correct` if that exceeds the fit's, and a sentence.
 
     The fit uses accelerations of smoothed motion, the correction those between successive poses unless the odometry is
-    rough. A dependence that switches with the acceleration may then correct less than its mean would.
+    rough. A dependence that switches with the acceleration may then correct less than none would.
     """
     reading = [effect for effect in model.effects if effect.reads_truth and effect.kind != "noise"]
     if not reading:
@@ -227,11 +225,9 @@ def _correctable(model: MotionModel, drives: Sequence[_Drive]) -> tuple[MotionMo
         return model, []
     errors = f"leaves {left_m * 1e3:.1f} mm after 10 s on the fitted data, the fit {fitted_m * 1e3:.1f} mm"
     placed = all(effect.reads_places for effect in reading)
-    means = [_mean_of(model, law, drives) for law in reading if isinstance(law, UserEffect)]
-    others = [*(m for m in means if m is not None), *(_without(model, effect) for effect in reversed(reading))]
     usable = [
         (_corrected_error(other.effects, other, drives), other, change)
-        for other, change in others
+        for other, change in (_without(model, effect) for effect in reversed(reading))
         if not _failure(other, drives)
     ]
     least_m, other, change = min(usable, key=lambda one: one[0], default=(np.inf, model, ""))
@@ -245,26 +241,6 @@ def _correctable(model: MotionModel, drives: Sequence[_Drive]) -> tuple[MotionMo
     if placed:
         why = "acts at places, which drifting odometry reaches too early or too late; corruption follows the true path"
     return model, [f"`correct` with this model {errors}: {names} {why}"]
-
-
-def _mean_of(model: MotionModel, law: UserEffect, drives: Sequence[_Drive]) -> tuple[MotionModel, str] | None:
-    """Return the model with a dependence replaced by its mean, and the change; None if it has no such form."""
-    match = _PART.match(law.expression.text)
-    values = {p.name: float(getattr(law, p.name)) for p in parameters(law)}
-    if match is None or set(values) != {"k"}:
-        return None
-    words = {word: getattr(law, word) for word in choices(law)}
-    even = user_effect(law.name, f"{match[1]} += {match[2]} * k", values, {}, words)
-    motions = [MotionSmoother([drive.recording], "odometry").recorded for drive in drives]
-    moved = [np.concatenate([error_of(one, m) * m.dt_s[:, None] for m in motions]) for one in (law, even)]
-    share = float(np.sum(moved[0] * moved[1]) / max(np.sum(moved[1] ** 2), 1e-300))
-    mean = user_effect(law.name, even.expression.text, {"k": share * values["k"]}, {}, words)
-    errors = dict(model.standard_errors)
-    if (own := f"{law.name}.k") in errors:
-        errors[own] *= abs(share)
-    effects = tuple(mean if effect is law else effect for effect in model.effects)
-    change = f"{law.name} ({law.expression.text}) replaced by its mean, k = {share * values['k']:.4g}"
-    return replace(model, effects=effects, standard_errors=errors), change
 
 
 def _fitted_error(model: MotionModel, drives: Sequence[_Drive]) -> float:
