@@ -14,7 +14,7 @@ from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.study.design.drives import ENOUGH_NATS, best_plan, missing_motion
 from odomcorrupt.study.design.identifiability import FOUND, MASKED, hidden
 from odomcorrupt.study.design.information import clock_errors, separation
-from odomcorrupt.study.estimate.clocks import RIVALS
+from odomcorrupt.study.estimate.clocks import RIVALS, clock_rivals
 from odomcorrupt.study.estimate.drive_type import readings_of
 from odomcorrupt.study.terms.basis import VALUES
 
@@ -230,7 +230,5 @@ def clock_ambiguities(drives: Drives, step: Step) -> list[Ambiguity]:
 
 def _beside_clocks(drives: Drives) -> Sequence[Effect]:
     """Return the terms that are free beside a clock: included ones, and those that resemble a clock."""
-    own = drives.learned.fit.effects
-    track = all(r.track_m is not None for r in drives.learned.fit.problem.recordings)
-    kinds = [registry()[name] for name in RIVALS if track or not registry()[name].needs_track]
-    return [*own, *(kind() for kind in kinds if kind.name not in {e.name for e in own})]
+    own, rivals = drives.learned.fit.effects, clock_rivals(drives.learned.fit.problem.recordings)
+    return [*own, *(rival for rival in rivals if rival.name not in {e.name for e in own})]

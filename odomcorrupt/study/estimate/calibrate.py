@@ -26,7 +26,7 @@ from odomcorrupt.errors import EffectError
 from odomcorrupt.model.correlation import Correlation
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup
 from odomcorrupt.model.noise_laws import LAWS
-from odomcorrupt.study.estimate.clocks import Clocks, find_clocks, find_setup, levelled, mounting_of
+from odomcorrupt.study.estimate.clocks import Clocks, clock_rivals, find_clocks, find_setup, levelled, mounting_of
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.drive_type import drive_type_of
@@ -191,7 +191,7 @@ def fit_robot(
     start_noise = None
     effects = [*effects, *mounting_of(recordings, effects)]
     if clocks is None:
-        clocks = find_clocks(recordings, approach)
+        clocks = find_clocks(recordings, approach, clock_rivals(recordings))
         named = {effect.name for effect in effects}
         effects += [one for one in factors_of(recordings) if one.name not in named]
         effects = [*effects, *find_setup(recordings, effects, clocks, approach)]

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import chi2
 
-from odomcorrupt.effects import effect_from_values, registry
+from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import FitError, RecordingError
-from odomcorrupt.study.estimate.drive_type import MOUNTING, drive_type_of, mountings
+from odomcorrupt.study.estimate.drive_type import MOUNTING, mountings
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit, fit_problem, prior_deviations
 from odomcorrupt.study.estimate.problem import pose_problem, undo
 from odomcorrupt.study.estimate.windows import phased_rmse, ten_second_error
@@ -42,7 +42,7 @@ _LEAST_M, _LEAST_RAD = 1e-3, 1e-3
 _NUISANCE = ("wheel_scale", "wheelbase", "unequal_wheels", *MOUNTING)
 """Effects that are free while the clocks are estimated, and are then discarded."""
 RIVALS = ("accel_slip", "backlash", "channel_lag")
-"""Effects that resemble a clock offset at starts and stops; a clock must remain significant with these free."""
+"""Effects that resemble a clock offset at starts and stops."""
 _FEWEST_ALIKE = 3
 """Fewest clocks whose mean may be that of a recording that cannot tell its own."""
 _SCAN_CLOCK_S = 0.1
@@ -50,8 +50,6 @@ _SCAN_CLOCK_S = 0.1
 _KNOWN_S, _PULLED_S = 0.002, 0.02
 """Standard error below which the offset of a scanner's clock is free in any case, and how far an effect that is not in
 the model yet can pull it: scans were aligned with the odometry before, and slip while speeding up is late travel."""
-_TRACKS_M = (0.2, 0.6)
-"""Track widths with which backlash is tested as a rival of a clock if the robot's track is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +59,8 @@ class Clocks:
     The error of an offset includes the rounding of stamps.
 
     noise, beside : noise and nuisance effects of the last fit: starting values for later fits, not results
-    ambiguous_nats : log-likelihood gain of a clock offset that was left at zero, because it is significant only without
-        its rivals and one of them explains more; the effect of these rivals may be the clock's
+    ambiguous_nats : log-likelihood gain of a clock offset that is not in the model, because an effect explains more;
+        that may be the clock's
     margins_nats : log-likelihood gain of a clock over each effect beside which it is not significant
     truths : noise of each recording's truth, from the fit of its clock
     left_nats : log-likelihood gain of dependences on accelerations beside the clocks
@@ -96,8 +94,6 @@ class _Found:
     free: tuple[bool, bool]
     errors: tuple[float, float]
     fit: Fit
-    ambiguous_nats: float = 0.0
-    margins_nats: tuple[float, ...] = ()
     unused_s: tuple[float, float] = (0.0, 0.0)
 
 
@@ -107,15 +103,23 @@ def nuisance_of(recordings: Sequence[Recording]) -> tuple[str, ...]:
     return tuple(name for name in _NUISANCE if name in possible or name not in MOUNTING)
 
 
-def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
+def clock_rivals(recordings: Sequence[Recording]) -> list[Effect]:
+    """Return the effects that resemble a clock offset at starts and stops; those of wheels if the track is known."""
+    track = all(r.track_m is not None for r in recordings)
+    return [kind() for kind in (registry()[name] for name in RIVALS) if track or not kind.needs_track]
+
+
+def find_clocks(recordings: Sequence[Recording], approach: Approach, beside: Sequence[Effect] = ()) -> Clocks:
     """Return each recording's clock, estimated by exact resampling with the usual systematic effects free.
 
     An offset or rate that is not significant is left at zero: correcting an aligned clock only adds noise.
+
+    beside : other effects that are free, too
     """
     recordings = [recording.multiplied(*recording.gains) for recording in recordings]
     leaders = clock_leaders(recordings)
     together = {i: [r for r, leader in zip(recordings, leaders, strict=True) if leader == i] for i in set(leaders)}
-    found = {i: _clock_or_reason(runs, approach) for i, runs in together.items()}
+    found = {i: _clock_or_reason(runs, approach, beside) for i, runs in together.items()}
     known = [own for own in found.values() if isinstance(own, _Found)]
     if not known:
         raise next(own for own in found.values() if isinstance(own, FitError | RecordingError))
@@ -133,18 +137,18 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
         errors,
         longest.fit.noise.free,
         tuple(e for e in longest.fit.onward.effects if e.name in _NUISANCE),
-        max(f.ambiguous_nats for f in known),
-        min((f.margins_nats for f in known), key=lambda nats: min(nats, default=np.inf)),
-        tuple(f.fit.noise.truth for f in each),
+        truths=tuple(f.fit.noise.truth for f in each),
         ranges_s=tuple((offset_s - _RANGE * error_s, offset_s + _RANGE * error_s) for offset_s, error_s in offsets),
         held=tuple(r.name for r, own in zip(recordings, each, strict=True) if own is common),
     )
 
 
-def _clock_or_reason(runs: Sequence[Recording], approach: Approach) -> _Found | FitError | RecordingError:
+def _clock_or_reason(
+    runs: Sequence[Recording], approach: Approach, beside: Sequence[Effect]
+) -> _Found | FitError | RecordingError:
     """Return the clock of some runs, or why there is none: on straight lines at one speed it has no maximum."""
     try:
-        return _find_clock(runs, approach)
+        return _find_clock(runs, approach, beside)
     except (FitError, RecordingError) as why:
         return why
 
@@ -202,64 +206,35 @@ def levelled(recordings: Sequence[Recording], clocks: Clocks) -> list[Recording]
     return found
 
 
-def _rivals(*, wheels: bool, steered: bool) -> list[Effect]:
-    """Return the rival effects to test.
-
-    With a known track (`wheels`), both contacts of acceleration slip are tested, because a misfit of one alone would
-    appear as a clock offset. Without, two tracks bracket the backlash of a turn on the spot; on straights the track
-    does not matter.
-    """
-    kinds = [registry()[name] for name in RIVALS]
-    if steered:  # play of its single driven axle does not turn the robot
-        play = effect_from_values("backlash", {"track": _TRACKS_M[0], "heading": "gyro"})
-        return [*(kind() for kind in kinds if not kind.needs_track), play, registry()["steering_lag"]()]
-    if not wheels:
-        anyhow: list[Effect] = [kind() for kind in kinds if not kind.needs_track]
-        wheeled = [kind for kind in kinds if kind.needs_track]
-        return [*anyhow, *(effect_from_values(k.name, {"track": track}) for k in wheeled for track in _TRACKS_M)]
-    slips = [effect_from_values("accel_slip", {"contact": contact}) for contact in ("axle", "wheels")]
-    return [*slips, *(kind() for kind in kinds if kind.name != "accel_slip")]
-
-
-def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
+def _find_clock(runs: Sequence[Recording], approach: Approach, beside: Sequence[Effect]) -> _Found:
     """Return the common clock of runs: offset and rate if significant, else the offset alone, else no clock."""
-    rivals = _rivals(wheels=runs[0].track_m is not None, steered=drive_type_of(runs).steered)
-    nuisance: Sequence[Effect] = [registry()[name]() for name in nuisance_of(runs)]
+    nuisance: Sequence[Effect] = [*(registry()[name]() for name in nuisance_of(runs)), *beside]
     clock = coarse_clock(max(runs, key=lambda run: len(run.odometry)))
-    noise, alone = None, None
+    noise = None
     for free in ((True, True), (True, False)):
-        clock = Clock(clock.offset_s, clock.rate if free[1] else 0.0)
-        for beside in ((), rivals):
-            problem = pose_problem(runs, (*nuisance, *beside), [clock] * len(runs), approach=approach)
-            held = prior_deviations(problem.effects)
-            best = fit_problem(problem, [free] * len(runs), start=noise, nearly=True, held=held)
-            noise = best.noise.free
-            clock = best.onward.clocks[0]
-            errors = (float(best.clock_errors[0, 0]), float(best.clock_errors[0, 1]))
-            last, error = (clock.rate, errors[1]) if free[1] else (clock.offset_s, errors[0])
-            if not free[1] and _of_stamps(runs, clock, errors[0]):
-                if _harmless(runs, clock, best.onward.effects):
-                    return _Found(clock, free, errors, best)
-                if all(r.matched for r in runs) and errors[0] < _KNOWN_S and abs(clock.offset_s) < _PULLED_S:
-                    return _Found(Clock(), free, errors, best)
-            if not abs(last) > _CLOCK_LIMIT * error > 0.0:
-                break
-            if not beside and not free[1]:
-                alone = _Found(clock, free, errors, best)
-            nuisance = best.onward.effects[: len(nuisance)]
-        else:
-            if _harmless(runs, clock) or _harmless(runs, clock, nuisance):
-                return _Found(clock, free, errors, best)
-    nothing = _Found(Clock(), (False, False), (0.0, 0.0), best, unused_s=(clock.offset_s, errors[0]))
-    return nothing if alone is None else _preferred(runs, alone, nothing, rivals)
+        problem = pose_problem(
+            runs, nuisance, [Clock(clock.offset_s, clock.rate if free[1] else 0.0)] * len(runs), approach=approach
+        )
+        held = prior_deviations(problem.effects)
+        best = fit_problem(problem, [free] * len(runs), start=noise, nearly=True, held=held)
+        noise, clock, nuisance = best.noise.free, best.onward.clocks[0], best.onward.effects
+        errors = (float(best.clock_errors[0, 0]), float(best.clock_errors[0, 1]))
+        last, error = (clock.rate, errors[1]) if free[1] else (clock.offset_s, errors[0])
+        clear = abs(last) > _CLOCK_LIMIT * error > 0.0
+        harmless = _harmless(runs, clock, nuisance) or (clear and _harmless(runs, clock))
+        if harmless and (clear or (not free[1] and _of_stamps(runs, clock, errors[0]))):
+            return _Found(clock, free, errors, best)
+    if all(r.matched for r in runs) and errors[0] < _KNOWN_S and abs(clock.offset_s) < _PULLED_S:
+        return _Found(Clock(), free, errors, best)
+    unused_s = (clock.offset_s, errors[0]) if harmless or not clear else (0.0, 0.0)
+    return _Found(Clock(), (False, False), (0.0, 0.0), best, unused_s)
 
 
 def _of_stamps(runs: Sequence[Recording], clock: Clock, error_s: float) -> bool:
     """Return whether stamps can hide an offset, and it is known better than their error.
 
     Rounding shifts stamps by up to one step, varying arrivals are late, and a scanner has a clock or delay of its own.
-    Such an offset is expected before the data are seen, so it needs no evidence, and its rivals have to explain more
-    than it does.
+    Such an offset is expected before the data are seen, so it needs no evidence.
     """
     hidden_s = max(float(np.hypot(r.stamp_error_s, r.stamp_jitter_s)) for r in runs)
     if any(r.matched for r in runs):
@@ -274,29 +249,6 @@ def _harmless(runs: Sequence[Recording], clock: Clock, effects: Sequence[Effect]
     """
     before, after = (phased_rmse([undo(aligned(run, c), effects) for run in runs]) for c in (Clock(), clock))
     return after < _CLOCK_HARM * before
-
-
-def _preferred(runs: Sequence[Recording], clock: _Found, nothing: _Found, rivals: Sequence[Effect]) -> _Found:
-    """Return a clock that is significant only without its rivals if it explains more than each one; else no clock.
-
-    All rivals together may imitate a clock that no single one can.
-    """
-    if not _harmless(runs, clock.clock):
-        return replace(nothing, unused_s=(0.0, 0.0))
-    nuisance = nothing.fit.onward.effects[: len(nuisance_of(runs))]
-    still = pose_problem(runs, nuisance, approach=clock.fit.problem.approach)
-
-    def likelihood(effects: Sequence[Effect], offset_s: float = 0.0) -> float:
-        problem = still.at((*nuisance, *effects), [Clock(offset_s)] * len(runs))
-        free = [(offset_s != 0.0, False)] * len(runs)
-        return fit_problem(problem, free, start=clock.fit.noise.free, weights_of=clock.fit).log_likelihood
-
-    without, with_it = likelihood(()), likelihood((), clock.clock.offset_s)
-    own = with_it - without
-    gains = tuple(likelihood((rival,)) - without for rival in rivals)
-    if own > max(gains, default=0.0):
-        return replace(clock, margins_nats=tuple(own - gain for gain in gains))
-    return replace(nothing, ambiguous_nats=max(own, 0.0))
 
 
 def mounting_of(recordings: Sequence[Recording], beside: Sequence[Effect] = ()) -> tuple[Effect, ...]:

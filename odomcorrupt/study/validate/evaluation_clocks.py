@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.study.estimate.clocks import Clocks, find_clocks, most_likely_clocks
+from odomcorrupt.study.estimate.clocks import Clocks, clock_rivals, find_clocks, most_likely_clocks
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned
@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.calibration import Horizon
 
 _MAX_ERROR_RATIO = 0.97
-"""A clock estimated with a model applied is accepted only if it reduces the 10 s error at least to this ratio; beside a
-truth of positions, unless it increases the error by as much."""
+"""A clock estimated with a model applied is accepted only if it reduces the 10 s error at least to this ratio."""
 
 
 def clocks_beside(
@@ -39,16 +38,15 @@ def clocks_beside(
 ) -> Clocks:
     """Return the clocks estimated from the raw odometry or with a model applied, or zero clocks: the least 10 s error.
 
-    A strong effect can mask or imitate a clock offset, so clocks are also estimated from the model's residuals. Beside
-    a truth of positions only these are taken, even if the 10 s error is the same: the headings there come from the
-    odometry, bent as it is, and the offset is biased; the most likely offset within two standard errors is then taken.
+    A strong effect can mask or imitate a clock offset, so clocks are also estimated from the model's residuals.
     """
-    plain = plain or find_clocks(recordings, approach)
+    rivals = clock_rivals(recordings)
+    plain = plain or find_clocks(recordings, approach, rivals)
     effects = [_effects(model, r) for r in recordings]
     if not any(effect.kind != "noise" for own in effects for effect in own):
         return plain
     corrected = _without_effects_of(model, recordings)
-    applied = find_clocks(corrected, approach)
+    applied = find_clocks(corrected, approach, rivals)
 
     def error_m(clocks: Sequence[Clock]) -> float:
         on_time = [aligned(r, c) for r, c in zip(recordings, clocks, strict=True)]
@@ -66,14 +64,7 @@ def clocks_beside(
     for other in (none, applied):
         if error_m(other.clocks) < _MAX_ERROR_RATIO * error_m(found.clocks):
             found = other
-    if all(r.headed for r in recordings):
-        return found
-    if applied.free == found.free and error_m(found.clocks) > _MAX_ERROR_RATIO * error_m(applied.clocks):
-        found = applied
-    likely = most_likely_clocks(corrected, found, approach)
-    kept = zip(recordings, found.clocks, found.free, likely, strict=True)
-    likely = tuple(new if free[0] and not r.headed else old for r, old, free, new in kept)
-    return replace(found, clocks=likely) if error_m(found.clocks) > _MAX_ERROR_RATIO * error_m(likely) else found
+    return found
 
 
 def own_clocks(recordings: Sequence[Recording], approach: Approach, model: MotionModel, clocks: Clocks) -> Clocks:
