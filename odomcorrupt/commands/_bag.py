@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._options import FILE, Number, added, setting, valued
+from odomcorrupt.commands._options import FILE, Number, Setting, added, setting, valued
 from odomcorrupt.commands._standard import overwrite_option
 
 if TYPE_CHECKING:
@@ -57,9 +57,9 @@ moving_options = added(
     click.option("--keep-localisation", is_flag=True,
                  help="Invert the change in map -> odom, so that map -> base is unchanged."),
     click.option("--consistent", is_flag=True, help="Rewrite wheels, ticks, twists, gyros to the noisy motion, too."),
-    valued("--scan-noise", kind=Number("metres", 0.0, 100.0), default=0.0, metavar="M",
+    valued("--scan-noise", kind=Number("metres", 0.0, 100.0), default=0.0, metavar="M", cls=Setting,
            text="Standard deviation of noise on the ranges of laser scans, metres."),
-    valued("--scan-keep", kind=Number("a part of 1", 0.0, 1.0), default=1.0, metavar="PART",
+    valued("--scan-keep", kind=Number("a part of 1", 0.0, 1.0), default=1.0, metavar="PART", cls=Setting,
            text="Part of the beams of laser scans that is kept; the others become NaN."),
     click.option("--imu", type=FILE, help="Add the noise in an IMU file of Kalibr to all Imu messages."),
     valued(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -12,6 +12,7 @@ from odomcorrupt.bags.messages import gather, gather_stamps_ns, scatter, scatter
 from odomcorrupt.corruption.correction import Correction, body_difference
 from odomcorrupt.corruption.covariance import STEP_SUMS, has_random_part, pose_covariance, twist_covariance
 from odomcorrupt.corruption.odometry_source import ODOMETRY, PLANAR, plain
+from odomcorrupt.corruption.pose_faults import Alternation
 from odomcorrupt.corruption.se2_on_se3 import (
     SpatialPoses,
     finite_rows,
@@ -258,6 +259,7 @@ class Changes:
     odom_axes : topics whose twists are in the axes of the odom frame
     sensors : topics of other sensors that are rewritten
     noisy : messages with noise of their own, by topic
+    paths : tests of edges for two publishers
     """
 
     odometry: Counter[str] = field(default_factory=Counter)
@@ -266,6 +268,7 @@ class Changes:
     odom_axes: set[str] = field(default_factory=set)
     sensors: set[str] = field(default_factory=set)
     noisy: Counter[str] = field(default_factory=Counter)
+    paths: defaultdict[str, Alternation] = field(default_factory=lambda: defaultdict(Alternation))
     held: int = 0
 
 
@@ -276,8 +279,8 @@ class Patcher:
         self.changes = Changes()
         self._clocks = tuple(e for e in model.effects if e.clock and e.acts)
         self._steps = model.setup.pose_corrections
-        self._moves = not model.noise.coefficients.noise_free or any(e.acts for e in model.effects if not e.clock)
-        self._moves |= self._steps
+        acts = any(e.acts for e in model.effects if not e.clock) or self._steps
+        self._moves = acts or not model.noise.coefficients.noise_free
         self._restores = any(e.restorable for e in model.effects)
         self._twist = not keep_twist
         drawn = any(has_random_part(e, model.track_m) for e in model.effects)
@@ -307,8 +310,10 @@ class Patcher:
                 self.changes.edges[edge] += len(target.stamps_ns)
                 if target.channel.topic.endswith("tf_static"):
                     self.changes.static.add(edge)
+                poses = poses_in(block, target.layout, target.item)
+                self.changes.paths[edge].take(planar_poses(poses))
                 if self._moves:
-                    _move(block, target, at.xyt, poses_in(block, target.layout, target.item))
+                    _move(block, target, at.xyt, poses)
             if self._clocks:
                 self._shift_stamps(block, target, first_ns)
         if self._moves:
@@ -349,7 +354,7 @@ class Patcher:
         if len(tilted):
             tilted = tilted[~change.odom_axes[tilted] & np.isfinite(yaw[tilted])]
         turn = tilts(own.quat_xyzw[tilted], yaw[tilted])
-        moved = change.known & _nonzero(added) & finite_rows(added)
+        moved = change.known & added.any(axis=1) & finite_rows(added)
         if moved.any():
             twist = own.twist
             if self._restores or self._steps:
@@ -387,7 +392,7 @@ def _move(block: Block, target: Target, correction_xyt: Array, poses: SpatialPos
 
     Poses with a zero correction, or that are not finite, keep their bytes.
     """
-    moved = _nonzero(correction_xyt) & finite_rows(poses.position) & finite_rows(poses.quat_xyzw)
+    moved = correction_xyt.any(axis=1) & finite_rows(poses.position) & finite_rows(poses.quat_xyzw)
     if not moved.any():
         return poses
     act = from_left if target.side == "left" else from_right
@@ -400,11 +405,6 @@ def _move(block: Block, target: Target, correction_xyt: Array, poses: SpatialPos
     scatter(block, target.layout, target.item, "position", out.position)
     scatter(block, target.layout, target.item, "orientation", out.quat_xyzw)
     return out
-
-
-def _nonzero(xyt: Array) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the rows of (n, 3) that are not all zero."""
-    return (xyt[:, 0] != 0.0) | (xyt[:, 1] != 0.0) | (xyt[:, 2] != 0.0)
 
 
 def _set_planar(block: Block, target: Target, name: str, covariance: Array, which: slice | NDArray[np.bool_]) -> None:

@@ -281,6 +281,8 @@ def corrupt_bag(
                     watch(block)
                 for robot in robots:
                     robot.require_source()
+                for msgtype in transform.run.noise.msgtypes - {reader.channels[one].msgtype for one in transform.seen}:
+                    raise TopicError(f"the bag has no {msgtype}; leave --scan-noise, --scan-keep or --imu out")
                 if not is_identity:
                     more = dict(metadata or {}) | ({"also": " ".join(also)} if also else {})
                     writer.provenance("odomcorrupt", provenance(model, seed=seed, run=run) | more)

@@ -75,7 +75,7 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
     lines += [Line("anomaly", sentence, "warning", weight=FOUND) for sentence in odd]
     if not is_identity and not outcome.added:
         stays = localisation_words(outcome.stayed, outcome.frames, outcome.channels)
-        lines += [Line("note", said, "warning") for said in stays]
+        lines += [Line("note", said, "warning", FOUND) for said in stays]
     if not is_identity and per_message(outcome.model.noise):
         lines.append(Line("rate", "the drift depends on the message rate: see --step and --law diffusion", "warning"))
     following = () if target == "-" else (command_line(["odomcorrupt", "info", target]),)
@@ -283,6 +283,8 @@ def oddities(outcome: Outcome) -> list[str]:
             "keeps a clean copy."
         )
     edges = [tuple(edge.split(" -> ", 1)) for edge in (*outcome.changes.edges, *outcome.stayed) if " -> " in edge]
+    paths = sorted(outcome.changes.paths.items())
+    said += [f"TF {edge}: {path.sentence()}; record the TF of one alone." for edge, path in paths if path.alternates]
     tree = frame_faults([(above, below) for above, below in edges], outcome.frames.odom, outcome.frames.base)
     said += [f"{sentence[0].upper()}{sentence[1:]}." for sentence in tree]
     return said + _same_edge(outcome)

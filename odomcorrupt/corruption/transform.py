@@ -35,7 +35,7 @@ from odomcorrupt.corruption.path import DriftMeter, NoisyPath
 from odomcorrupt.corruption.pose_faults import FAR_M, W_FIRST, ZERO
 from odomcorrupt.corruption.reorder import WINDOW_NS, Arrivals, TimeOrder
 from odomcorrupt.errors import TopicError
-from odomcorrupt.sensors.consistent import SENSORS, find_relations, timed
+from odomcorrupt.sensors.consistent import SENSORS, find_relations
 from odomcorrupt.sensors.noise import SensorNoise
 
 if TYPE_CHECKING:
@@ -334,7 +334,7 @@ class Transform:
         return _has_poses(channel) or channel.id in self._follows or self._is_noisy(channel)
 
     def _is_noisy(self, channel: Channel) -> bool:
-        return channel.encoding in ENCODINGS and self.run.noise.concerns(channel.msgtype)
+        return channel.encoding in ENCODINGS and channel.msgtype in self.run.noise.msgtypes
 
     def relations(self, reader: BagReader) -> dict[int, Relations]:
         """Return how other sensors follow the odometry, by channel id, from a pass over the bag.
@@ -353,7 +353,7 @@ class Transform:
             own = [reader.channels[number] for number in sorted(block.present())]
             parts = [(c, layout) for c in own if _has_poses(c) for layout in locate(block, c)]
             found = source.read(block, parts, block.table["log_ns"])
-            return timed(found.stamps_ns, found.xyt)
+            return np.column_stack((found.stamps_ns * np.float64(1e-9), found.xyt))
 
         channels = reader.channels.values()
         sensors = [c for c in channels if can_be_consistent(c) and source.shares_tree(c)]

@@ -84,6 +84,7 @@ class Grid:
 
 SAVED_UNKNOWN = 205
 """Pixel value of unknown in every map_saver; with nav2's own free_thresh of 0.25 it would load as free."""
+_USUAL = {"mode": "trinary", "negate": "0", "free_thresh": "0.25", "occupied_thresh": "0.65"}
 _YAML_BYTES = 1 << 14
 _GAP = rb"(?:\s|#[^\n]{0,200}\n)+"
 _HEADER = re.compile(rb"P5" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,5})\s")
@@ -100,26 +101,25 @@ def read_map(path: Path) -> Grid:
     MapError
         If the .yaml or its image cannot be read or is invalid.
     """
-    keys = _keys(path)
-    missing = [key for key in ("image", "resolution", "origin") if key not in keys]
-    if missing:
+    keys = _USUAL | _keys(path)
+    if missing := [key for key in ("image", "resolution", "origin") if key not in keys]:
         raise MapError(f"{path}: no {', '.join(missing)}; a map_server .yaml has image, resolution and origin")
-    resolution = _number(path, keys, "resolution", 0.0)
+    resolution = _float(path, "resolution", keys["resolution"])
     origin = [_float(path, "origin", part) for part in keys["origin"].strip("[] ").split(",")]
     if len(origin) != 3 or not resolution > 0.0:
-        raise MapError(
-            f"{path}: resolution {keys['resolution']}, origin {keys['origin']}; they are metres and [x, y, yaw]"
-        )
-    mode = keys.get("mode", "trinary").strip("\"'")
+        raise MapError(f"{path}: resolution {keys['resolution']}, origin {keys['origin']}; give metres and [x, y, yaw]")
+    mode = keys["mode"].strip("\"'")
     if mode not in ("trinary", "scale", "raw"):
         raise MapError(f"{path}: mode {mode}; there are trinary, scale and raw")
-    value = np.arange(256)
-    dark = value / 100.0 if mode == "raw" else value / 255.0
-    if mode != "raw" and not _number(path, keys, "negate", 0.0):
+    dark = np.arange(256) / (100.0 if mode == "raw" else 255.0)
+    if mode != "raw" and not _float(path, "negate", keys["negate"]):
         dark = 1.0 - dark
-    state = np.full(len(value), UNKNOWN, dtype=np.uint8)
-    state[dark < _number(path, keys, "free_thresh", 0.25)] = FREE
-    state[(dark > _number(path, keys, "occupied_thresh", 0.65)) & (dark <= 1.0)] = OCCUPIED
+    free, occupied = (_float(path, key, keys[key]) for key in ("free_thresh", "occupied_thresh"))
+    if not 0.0 <= free <= occupied <= 1.0:
+        raise MapError(f"{path}: free_thresh {free:g}, occupied_thresh {occupied:g}; give 0 to 1, the first smaller")
+    state = np.full(len(dark), UNKNOWN, dtype=np.uint8)
+    state[dark < free] = FREE
+    state[(dark > occupied) & (dark <= 1.0)] = OCCUPIED
     if mode == "trinary":
         state[SAVED_UNKNOWN] = UNKNOWN
     # the first row of an image is the top one
@@ -160,10 +160,6 @@ def _image(path: Path, name: str) -> Path:
     if not inside:
         raise MapError(f"{path}: image {name[:80]!r} lies outside of the map's directory; put it beside the .yaml")
     return image
-
-
-def _number(path: Path, keys: dict[str, str], key: str, default: float) -> float:
-    return _float(path, key, keys[key]) if key in keys else default
 
 
 def _float(path: Path, key: str, text: str) -> float:

@@ -63,7 +63,7 @@ def find_relations(
     """Return how the numbers of topics follow the odometry's motion, by channel id, from a pass over the bag.
 
     channels : those of the sensors
-    poses_of : reads the odometry of a block, whose channels are among `others`: poses with times, as of `timed`
+    poses_of : reads the odometry of a block, whose channels are among `others`: rows (n, 4) of times, s, and poses
 
     Raises
     ------
@@ -81,7 +81,8 @@ def find_relations(
                     for field in item.fields:
                         values = gather(block, layout, item, field)
                         values = yaw_from_quaternion(values)[:, None] if field == "orientation" else values
-                        parts[number, index, field].append(timed(stamps_or_log_ns(block, layout, item), values))
+                        t_s = stamps_or_log_ns(block, layout, item) * np.float64(1e-9)
+                        parts[number, index, field].append(np.column_stack((t_s, values)))
     motion = _body_motion(path)
     found: dict[int, dict[int, dict[str, tuple[Relation | None, ...]]]] = {number: {} for number in chosen}
     moving, known = set(), set()
@@ -103,13 +104,8 @@ def find_relations(
     return dict(found)
 
 
-def timed(stamps_ns: NDArray[np.int64], values: Array) -> Array:
-    """Return times, seconds, with values (n, k): (n, 1 + k)."""
-    return np.column_stack((stamps_ns * np.float64(1e-9), values))
-
-
 def _ordered(parts: list[Array]) -> Array:
-    """Return the rows of `timed` in the order of time, without repeated times and what is not finite."""
+    """Return rows that begin with times in the order of time, without repeated times and what is not finite."""
     rows = np.concatenate(parts)
     rows = rows[np.isfinite(rows).all(axis=1)]
     return rows[np.unique(rows[:, 0], return_index=True)[1]]

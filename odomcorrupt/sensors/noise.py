@@ -77,21 +77,20 @@ class SensorNoise:
 
     std_m, keep : standard deviation of the ranges, metres, and part of the beams that is kept
     imu : noise of IMUs, None for none
+    msgtypes : types of the messages that get noise
     counts : messages with noise, by topic
     """
 
     def __init__(self, std_m: float, keep: float, imu: ImuNoise | None, seed: int, run: int) -> None:
+        given = {SCAN: bool(std_m or keep < 1.0), IMU: imu is not None}
+        self.msgtypes = {msgtype for msgtype, wanted in given.items() if wanted}
         self.counts: Counter[str] = Counter()
         self._std_m, self._keep, self._imu, self._seed, self._run = std_m, keep, imu, seed, run
         self._imus: dict[tuple[int, str], tuple[np.random.Generator, int, Array]] = {}
 
-    def concerns(self, msgtype: str) -> bool:
-        """Return whether messages of a type get noise."""
-        return (msgtype == IMU and self._imu is not None) or (msgtype == SCAN and bool(self._std_m or self._keep < 1.0))
-
     def add(self, block: Block, channel: Channel, layout: Layout, stamps_ns: NDArray[np.int64]) -> None:
         """Change the messages of a layout in place, if they get noise; stamps_ns (n,) are their header stamps."""
-        if self.concerns(channel.msgtype):
+        if channel.msgtype in self.msgtypes:
             self.counts[channel.topic] += len(stamps_ns)
             if channel.msgtype == IMU:
                 self._add_to_imu(block, channel, layout, stamps_ns)
@@ -116,7 +115,7 @@ class SensorNoise:
 
     def _add_to_imu(self, block: Block, channel: Channel, layout: Layout, stamps_ns: NDArray[np.int64]) -> None:
         noise, item = self._imu, layout.items[0]
-        assert noise is not None  # noqa: S101 - `concerns` says so
+        assert noise is not None  # noqa: S101 - as `msgtypes` says
         key = channel.id, item.frame_id
         if key not in self._imus:
             rng = stream(self._seed, self._run, f"imu {channel.topic} {item.frame_id}", channel.id)

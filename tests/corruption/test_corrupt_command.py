@@ -4,7 +4,7 @@ from operator import itemgetter
 
 import numpy as np
 import pytest
-from bagged import ODOM, odometry, robot, write_mcap
+from bagged import ODOM, TF, odometry, robot, transforms, write_mcap
 from drives import office
 from test_run import FIXTURES
 
@@ -154,3 +154,11 @@ def test_two_publishers_are_refused_with_the_way_out(tmp_path, capsys):
     assert "two publishers alternate" in said
     assert "sideways" not in said
     assert not target.exists()
+    both[len(t) :] = [
+        (TF, int(s) + late, transforms((int(s) + late, "odom", "base_link", p)))
+        for path, late in ((poses, 10), (beside, 21_000_000))
+        for s, p in zip(t, path, strict=True)
+    ]
+    write_mcap(source, sorted(both, key=itemgetter(1)))
+    assert run([str(source), str(target), "--seed", "1", "-v"]) == 0
+    assert "TF odom -> base_link: two publishers alternate" in " ".join(capsys.readouterr().err.split())

@@ -69,6 +69,7 @@ def test_modes_mean_what_map_server_means(tmp_path, extra, states):
     [
         ("image: m.pgm\n", b"", "resolution"),
         (YAML.replace("0.1", "-1"), PGM, "resolution"),
+        (YAML.replace("0.65", "0.2"), PGM, "occupied_thresh 0.2"),
         (YAML.replace("0.1", "!!python/object:os.system"), PGM, "number"),
         (YAML.replace("[-1.0, 2.0, 0]", "[1, 2]"), PGM, "x, y, yaw"),
         (YAML.replace("m.pgm", "/dev/zero"), PGM, "outside of the map"),

@@ -118,6 +118,7 @@ def test_the_noise_depends_on_the_seed_alone(tmp_path):
 
 @pytest.mark.parametrize(("words", "code", "said"), [
     (["--scan-noise", "-0.1"], 2, "write metres"), (["--scan-keep", "1.2"], 2, "at most 1"),
+    (["--scan-keep", "0.5", "--exclude-topic", "/scan"], 1, "no sensor_msgs/msg/LaserScan"),
     (["--imu", "none.yaml"], 1, "No such file"), (["--imu", "a: ["], 1, "is no YAML"),
     (["--imu", "update_rate: 200"], 1, "gyroscope_noise_density is missing"),
     (["--imu", KALIBR.format(0.1, -1, 0, 0)], 1, "gyroscope_random_walk is -1"),
