@@ -446,7 +446,7 @@ class Findings(Result):
         """Return the findings as a self-contained HTML page with tables and figures, usable offline."""
         from odomcorrupt.report.html.study import found_html
 
-        return found_html(self.result.search, self.result.sequence, self.result.advice, self.following)
+        return found_html(self.result.search, self.result.sequence, self.result.advice, self.following, self.summary())
 
 
 @dataclass(frozen=True, slots=True, repr=False)

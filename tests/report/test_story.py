@@ -37,7 +37,7 @@ from odomcorrupt.study.terms.channels import Action
 from odomcorrupt.study.terms.term import BasisTerm
 from odomcorrupt.study.validate.held_out import without_parts
 from odomcorrupt.study.validate.lack_of_fit import Failure
-from odomcorrupt.summary import command_line
+from odomcorrupt.summary import Line, Summary, command_line
 
 PLANS = {one.name: plan_of(one, Limits(0.5, 0.8), 60.0) for one in MANOEUVRES}
 PLAN = next(plan for plan in PLANS.values() if plan.fastest_mps > 0.0)
@@ -299,7 +299,9 @@ def test_advice_is_a_sentence_for_each_choice_and_one_for_all_that_share_a_drive
 
 @pytest.mark.slow
 def test_the_page_shows_everything_at_once_and_stays_whole(rich, sequence):
-    page = found_html(rich, sequence, ADVICE, "odomcorrupt fit run.mcap -o robot.toml")
+    summary = Summary((Line("change", "set wheel_separation to 0.97 of its value"),))
+    page = found_html(rich, sequence, ADVICE, "odomcorrupt fit run.mcap -o robot.toml", summary)
+    assert "set wheel_separation to 0.97 of its value." in page
     parsed = parsed_page(page)
     assert parsed.tags.count("img") == 5
     text = unescape(page)
@@ -313,7 +315,7 @@ def test_the_page_shows_everything_at_once_and_stays_whole(rich, sequence):
 
 def test_the_page_of_a_search_that_found_nothing_is_whole(poor, sequence):
     good = replace(sequence, evaluations=(kept(sequence.evaluations[0]),))
-    page = found_html(poor, good, NONE, "")
+    page = found_html(poor, good, NONE, "", Summary(()))
     parsed_page(page)
     assert texts.found_text(poor, NONE) == texts.NOTHING
     assert texts.NOTHING[1:] in unescape(page)
@@ -335,7 +337,7 @@ def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, sequen
     assert texts.found_text(poor, NONE, evaluated=kept(first)) == texts.NOTHING
     beside = texts.found_text(replace(rich, unknown=(), laws=()), NONE, evaluated=first)
     assert "no further known effect is missing, but" in beside
-    page = found_html(poor, replace(sequence, evaluations=(first,)), NONE, "")
+    page = found_html(poor, replace(sequence, evaluations=(first,)), NONE, "", Summary(()))
     assert "but the model is rejected" in page.split("</h1>", 1)[1].split("</p>", 1)[0]
     printed = [
         texts.learned_json(poor, sequence.evaluations[:1], NONE, evaluated=one)["rejected"]
@@ -547,7 +549,7 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(
         "odomcorrupt.study.pipeline.compare", lambda _runs, models, **_named: asked.append(models) or sequence
     )
     monkeypatch.setattr("odomcorrupt.api.findings.compare_models", lambda _runs, _models, **_clocks: sequence)
-    monkeypatch.setattr("odomcorrupt.report.html.study.found_html", lambda *_found: _found[-1])
+    monkeypatch.setattr("odomcorrupt.report.html.study.found_html", lambda *_found: _found[3])
     monkeypatch.chdir(tmp_path)
     words = ["learn", "-v", str(case.bag), "--track", str(case.recording.track_m)]
     files = {"-o": "robot.toml", "--report": "all.html", "--plot": "fall.svg", "--drive": "next.mcap"}

@@ -72,6 +72,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.compare import Comparison, ModelEvaluation
     from odomcorrupt.study.validate.evaluation import Evaluation
     from odomcorrupt.study.validate.lack_of_fit import Failure
+    from odomcorrupt.summary import Summary
 
 
 _MOST_PIECES = 8
@@ -377,11 +378,12 @@ _COMPARISON_LEGEND = (
 )
 
 
-def found_html(learned: Learned, sequence: Comparison, advice: Advice, following: str) -> str:
+def found_html(learned: Learned, sequence: Comparison, advice: Advice, following: str, summary: Summary) -> str:
     """Return the HTML page of a search.
 
     sequence : models in the order of the search, cross-validated, or the evaluation used instead
     following : suggested next command, or ""
+    summary : its lines "change" say what to set in the robot
     """
     names = ", ".join(recording.name for recording in learned.fit.problem.recordings)
     title = f"What is missing: {names}"
@@ -391,6 +393,7 @@ def found_html(learned: Learned, sequence: Comparison, advice: Advice, following
         f'<p class="{mark}">{escape(_verdict(learned, sequence))}</p>',
         *_cards(learned, sequence),
         "<h2>What to do next</h2>",
+        *(f"<p>{escape(line.text)}.</p>" for line in summary.lines if line.label == "change"),
         _next(learned, sequence, advice, following),
         f"<h2>The error{' falls' if agreement_of(sequence).verdict == 'better' else ''}</h2>",
         sequence_table(sequence),
