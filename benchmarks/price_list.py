@@ -65,7 +65,6 @@ ENOUGH = 3
 RULES = {
     "study.estimate.clocks:_harmless": "True",
     "study.estimate.clocks:_of_stamps": "False",
-    "study.estimate.clocks:_preferred": "nothing",
     "study.estimate.correlation_length:with_correlation_lengths": "list(recordings)",
     "study.estimate.truth_bias:with_bias_walks": "list(recordings)",
     "study.estimate.outliers:_comes_back": "False",

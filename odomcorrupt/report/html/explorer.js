@@ -10,7 +10,7 @@
   const last = data.models.length - 1;
   const state = {
     piece: 0, models: new Set([0, last]), horizons: new Set(data.lengths), channel: 2, restart: 0, look: null, at: null,
-    layers: { runs: true, measured: true, corrected: false },
+    layers: { truth: true, runs: true, measured: true, corrected: false },
     view: null,
   };
 
@@ -112,6 +112,7 @@
     const options = data.pieces.map((p, i) => [i, `${p.name}, ${p.length_m} m`]);
     pieceSelect = choice(what, "stretch", options, 0, (v) => { state.piece = +v; state.view = null; state.at = null; });
   }
+  check(what, "truth", true, (on) => { state.layers.truth = on; }, "var(--ink)");
   check(what, "runs of the models", true, (on) => { state.layers.runs = on; });
   check(what, "odometry as recorded", true, (on) => { state.layers.measured = on; }, "var(--measured)");
   check(what, "odometry, effects removed", false, (on) => { state.layers.corrected = on; });
@@ -206,7 +207,7 @@
         }
       }
     }
-    stroke(line(piece.truth.x, piece.truth.y, 0, end, piece.gapSet), "truth");
+    if (state.layers.truth) stroke(line(piece.truth.x, piece.truth.y, 0, end, piece.gapSet), "truth");
     const odometry = (poses, cls, c) => {
       const a = anchored(piece.truth, poses, piece.d, state.restart, piece.gapSet);
       stroke(line(a.xs, a.ys, 0, end, a.breaks), cls, c);

@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.trajectory import distance_along
-from odomcorrupt.report.plots.figure import ORANGE, RED, RUNS, SKY, TRUTH, drawing, model_panels, new_figure, short_name
+from odomcorrupt.report.plots.figure import COLOURS, ORANGE, RUNS, TRUTH, drawing, model_panels, new_figure, short_name
 from odomcorrupt.study.validate.predictive_check import Replay, replay
 
 if TYPE_CHECKING:
@@ -34,9 +34,10 @@ def draw_paths(comparison: Comparison) -> Figure:
         # adjacent panels, below the legend
         figure.set_layout_engine("compressed", rect=(0.0, 0.0, 1.0, 1.0 - 0.35 / figure.get_figheight()))
         for axes, evaluation in panels:
+            number = [one is evaluation for one in comparison.evaluations].index(True)
             try:
                 longest = max(evaluation.pieces, key=lambda piece: float(piece.interval_metres.sum()))
-                _panel(axes, replay(longest, runs=_RUNS), short_name(evaluation.name))
+                _panel(axes, replay(longest, runs=_RUNS), short_name(evaluation.name), number)
             except EffectError:  # a law that absorbs all motion can be removed from odometry, but not applied
                 none = "no odometry of this drive satisfies it: no runs to show"
                 axes.set_title(f"{short_name(evaluation.name)}\n{none}", fontsize=10)
@@ -44,20 +45,20 @@ def draw_paths(comparison: Comparison) -> Figure:
     return figure
 
 
-def _panel(axes: Axes, paths: Replay, name: str) -> None:
-    end = int(np.searchsorted(paths.distance_m, _SHOWN_M))
+def _panel(axes: Axes, paths: Replay, name: str, number: int) -> None:
+    end, colour = int(np.searchsorted(paths.distance_m, _SHOWN_M)), COLOURS[number % len(COLOURS)]
     truth, measured, runs = paths.truth_xyt[:end], paths.measured_xyt[:end], paths.runs_xyt[:, :end]
     for i, run in enumerate(runs):
         axes.plot(
-            run[:, 0], run[:, 1], color=SKY, linewidth=0.6, alpha=0.35, rasterized=True, zorder=1,
+            run[:, 0], run[:, 1], color=colour, linewidth=0.6, alpha=0.25, rasterized=True, zorder=1,
             label=f"{len(runs)} runs of the model" if i == 0 else None,
         )  # fmt: skip
-    axes.plot(*runs[:, -1, :2].T, ".", color=RUNS, markersize=4, alpha=0.7, zorder=2, label="their ends")
+    axes.plot(*runs[:, -1, :2].T, ".", color=colour, markersize=4, alpha=0.7, zorder=2, label="their ends")
     axes.plot(*truth[:, :2].T, color=TRUTH, linewidth=1.2, zorder=3, label="truth")
-    axes.plot(*measured[:, :2].T, color=RED, linewidth=1.4, zorder=4, label="measured odometry")
+    axes.plot(*measured[:, :2].T, "--", color="0.4", linewidth=1.6, zorder=4, label="measured odometry")
     axes.plot(*truth[0, :2], "s", color=TRUTH, markersize=7, zorder=5)
     axes.plot(*truth[-1, :2], "o", color=TRUTH, markersize=7, zorder=5)
-    axes.plot(*measured[-1, :2], "o", color=RED, markeredgecolor="white", markersize=8, zorder=6)
+    axes.plot(*measured[-1, :2], "o", color="0.4", markeredgecolor="white", markersize=8, zorder=6)
     marks = np.searchsorted(paths.distance_m, np.linspace(0.0, paths.distance_m[-1], _MARKS + 1)[1:])
     inside = int(paths.inside(np.minimum(marks, len(paths.distance_m) - 1)).sum())
     shown = f" (first {_SHOWN_M:g} m)" if end < len(paths.distance_m) else ""
