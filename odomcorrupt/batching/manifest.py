@@ -93,7 +93,8 @@ def read_beginning(directory: Path) -> dict[str, Any]:
         _require(all(isinstance(table[one][key], str) for one, key in _TEXTS))
         _require(all(len(spread) == 3 for spread in table["robots"]))
     except FileNotFoundError as error:
-        raise BatchError(f"{directory}: holds no batch (no {BEGINNING}); make one with batch") from error
+        points = (f"name one of its points, as {found.parent}" for found in sorted(directory.glob(f"*/{BEGINNING}")))
+        raise BatchError(f"{directory}: holds no batch ({BEGINNING}); {next(points, 'make one with batch')}") from error
     except OSError as error:
         raise BatchError(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, KeyError, TypeError) as error:

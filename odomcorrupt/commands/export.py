@@ -37,7 +37,10 @@ def _number(
     "--track", "track_m", type=TRACK, metavar="M", help="Nominal distance between the wheels. [default: the model's]"
 )
 @click.option("--wheelbase", "wheelbase_m", type=TRACK, metavar="M", help="Distance between the axles of an omni base.")
-@click.option("--wheel-radius", "wheel_radius_m", type=TRACK, metavar="M", help="Nominal radius of the wheels.")
+@click.option(
+    "--wheel-radius", "wheel_radius_m", metavar="M", help="Nominal radius of the wheels.",
+    type=Number("metres of a wheel's radius", 0.0, 1.5, above=True, else_="3.5 cm are 0.035"),
+)  # fmt: skip
 @_number("--update-min-d", "metres", "M", 0.25, "amcl's update distance.", above=True, else_=_EVERY)
 @_number("--update-min-a", "radians", "RAD", 0.2, "amcl's update angle.", above=True, else_=_EVERY)
 @valued(

@@ -201,6 +201,8 @@ def test_a_spread_of_one_run_or_of_no_batch_is_refused(capsys):
     assert run(["batch", "in.mcap", "runs", "--runs", "1", "--seed", "7", "--output", "trajectories"]) == 0
     assert run(["spread", "runs"]) == 1
     assert "at least two" in capsys.readouterr().err
+    assert run(["spread", "."]) == 1
+    assert "name one of its points, as runs" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("output", ["full", "overlay", "trajectories"])

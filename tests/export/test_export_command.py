@@ -160,6 +160,8 @@ def test_the_plugin_of_gazebo_computes_with_the_nominal_dimensions(export):
     assert float(values["wheel_radius"]) == pytest.approx(0.05)
     for said in ("the left wheel's collision", "side_slip", "because it is random: gauss_markov"):
         assert said in " ".join(comment.split())
+    code, _, _, said = export("gazebo", "--wheel-radius", "3.5")
+    assert "3.5 cm are 0.035" in said
     code, _, _, said = export("gazebo")
     assert code == 2
     assert "give --track and --wheel-radius" in said
