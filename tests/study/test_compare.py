@@ -241,6 +241,8 @@ def test_a_drift_is_reported_with_what_was_measured_and_what_is_expected():
     h = next(h for h in horizons if f"over {h.distance_m:g} m" in yaw.where)
     assert (yaw.measured, yaw.expected) == (h.measured[2], h.expected[2])
     assert "larger than" in sentence(yaw)
+    exact = replace(h, measured=np.zeros(3), excess_p=np.zeros(3))  # of a simulation without errors
+    assert [one.measured for one in drift_failures([exact])] == [0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize(

@@ -241,18 +241,22 @@ def _begin(lines: Iterator[Row], place: str) -> tuple[Columns, list[Row]]:
         if are_numbers(cut):
             raise RecordingError(f"{place}: its first line has no names; head it with time,x,y,yaw or the like")
         if cut.cells[0] == "Format Version":
-            return replace(find_columns(_motive_header(cut, lines), delimiter, place), y_up=True), []
+            return replace(find_columns(_motive_header(cut, lines, place), delimiter, place), y_up=True), []
         return find_columns(cut.cells, delimiter, place), []
     raise RecordingError(f"{place}: is neither a bag nor a TUM or CSV file; TUM has 8 numbers a line, CSV a header")
 
 
-def _motive_header(take: Row, lines: Iterator[Row]) -> list[str]:
+def _motive_header(take: Row, lines: Iterator[Row], place: str) -> list[str]:
     """Return the names of the columns in an export of Motive, and read its header, which types begin and axes end."""
     unit = dict(zip(take.cells[::2], take.cells[1::2], strict=False)).get("Length Units", "")
     heads = [[""], [""]]
     while heads[-1][0] != "Frame" and (row := next(lines, None)):
         heads.append(split_line(row, ",").cells)
-    columns = zip([*heads, []][2], *heads[-2:], strict=False)
+    kinds, named = [*heads, []][2], next((row for row in heads if row[1:2] == ["Name"]), [])
+    bodies = dict.fromkeys(name for kind, name in zip(kinds, named, strict=False) if kind == "Rigid Body")
+    if len(bodies) > 1:
+        raise RecordingError(f"{place}: has the rigid bodies {' and '.join(bodies)}; export that of the robot alone")
+    columns = zip(kinds, *heads[-2:], strict=False)
     names = (f"{quantity} {axis} {unit}" if kind == "Rigid Body" else "unused" for kind, quantity, axis in columns)
     return [*heads[-1][:2], *itertools.islice(names, 2, None)]
 

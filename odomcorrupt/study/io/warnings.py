@@ -54,7 +54,7 @@ def check_identity(odometry: Samples, truth: Samples) -> list[str]:
     apart[:, 2] = wrap(apart[:, 2])
     within = float(np.abs(apart).max()) < _SAME_M
     one, other = odometry.stamps_ns[odometry.within(truth)], truth.stamps_ns[truth.within(odometry)]
-    copied = np.isin(other, one).mean() > 0.5 or abs(len(other) - len(one)) < 0.01 * len(one) + 2
+    copied = np.isin(other, one).mean() > 0.9 or abs(len(other) - len(one)) < 0.01 * len(one) + 2
     if (share > 0.99 or (share > 0.5 and within)) and copied:
         raise RecordingError(
             f"{truth.place}: repeats {odometry.name} ({np.sum(same)} of {len(same)} steps are equal): it is the "

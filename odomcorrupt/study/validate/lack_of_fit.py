@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
+from operator import itemgetter
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -327,25 +328,22 @@ def sudden_failures(
 
 def drift_failures(horizons: Sequence[Horizon]) -> list[Failure]:
     """Return, per channel, the longest path after which errors differ from the model's prediction."""
-    found = []
+    found = list[tuple[float, Failure]]()
     tests = 3 * len(horizons)
     for c, channel in enumerate(CHANNELS):
         for h in reversed(horizons):
-            ratio = h.measured[c] / h.expected[c]
-            if h.excess_p[c] * tests < LEVEL and abs(np.log(ratio)) > _MIN_LOG_RATIO:
-                log_p = float(np.log(max(h.excess_p[c] * tests, 1e-300)))
-                found.append(
-                    Failure(
-                        kind="drift",
-                        channel=channel,
-                        where=f"over {h.distance_m:g} m of path",
-                        per="",
-                        measured=float(h.measured[c]),
-                        expected=float(h.expected[c]),
-                        amount=float(h.windows),
-                        log_p=log_p,
-                    )
+            off = abs(np.log(max(h.measured[c] / h.expected[c], 1e-12)))  # a simulation may have no error
+            if h.excess_p[c] * tests < LEVEL and off > _MIN_LOG_RATIO:
+                failure = Failure(
+                    kind="drift",
+                    channel=channel,
+                    where=f"over {h.distance_m:g} m of path",
+                    per="",
+                    measured=float(h.measured[c]),
+                    expected=float(h.expected[c]),
+                    amount=float(h.windows),
+                    log_p=float(np.log(max(h.excess_p[c] * tests, 1e-300))),
                 )
+                found.append((off, failure))
                 break
-    # Sort channels by the factor between measured and expected errors.
-    return sorted(found, key=lambda f: abs(np.log(f.measured / f.expected)), reverse=True)
+    return [failure for _, failure in sorted(found, key=itemgetter(0), reverse=True)]

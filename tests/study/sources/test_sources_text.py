@@ -102,6 +102,11 @@ def test_an_export_of_motive_is_read_with_its_axis_up(tmp_path, up, unit):
     assert np.abs(samples.stamps_ns - (real.stamps_ns - START_NS)).max() < 1000
     np.testing.assert_allclose(samples.xyz[:, :2], real.xyz[:, :2], atol=1e-9)
     np.testing.assert_allclose(np.unwrap(samples.yaw_rad), real.yaw, atol=1e-9)
+    heads[2] = heads[2].replace("robot:Marker1", "wand").replace("Marker", "Body")
+    heads[1] = heads[1].replace("Rigid Body Marker", "Rigid Body")
+    (tmp_path / "take.csv").write_text("\n".join([heads[0], "", *heads[1:]]))
+    with pytest.raises(RecordingError, match="rigid bodies robot and wand"):
+        read_text(tmp_path / "take.csv", "take.csv")
 
 
 @pytest.mark.parametrize(("unit", "word"), [("ns", "nanoseconds"), ("us", "microseconds"), ("ms", "milliseconds")])
