@@ -209,23 +209,28 @@ def undetermined_clocks(drives: Drives) -> list[UntestableEffect]:
     return found
 
 
-def clock_ambiguities(drives: Drives, step: Step) -> list[Ambiguity]:
-    """Return the ambiguity between the included effect and a constant clock offset, if these data leave it open."""
-    if step.added not in RIVALS or any(free[0] for free in drives.learned.clocks.free):
-        return []
-    own = drives.learned.fit.by_name.get(step.added or "")
-    if own is None:
-        return []
-    beside = [e for e in drives.learned.fit.effects if e is not own]
-    inflation = step.candidates[0].score.inflation
-    known = separation((own,), (), beside, [drives.with_clocks]) / inflation
-    if known >= drives.learned.decisions.alternative_nats:
-        return []
+def clock_ambiguities(drives: Drives, step: Step | None = None) -> list[Ambiguity]:
+    """Return the ambiguities between a constant clock offset and an effect that these data leave open.
 
-    def gain(drive: Field) -> float:
-        return separation((own,), (), beside, [drives.with_clocks, drive]) / inflation - known
+    step : of the effect that is in the model in place of a clock; None for those that could be in place of one
+    """
+    learned, inflation = drives.learned, 1.0
+    effects = learned.clocks.instead
+    if step is not None:
+        shown = step.added in RIVALS and not any(free[0] for free in learned.clocks.free)
+        effects = tuple(effect for effect in learned.fit.effects if shown and effect.name == step.added)
+        inflation = step.candidates[0].score.inflation
+    found = []
+    for own in effects:
+        beside = [e for e in learned.fit.effects if e is not own]
+        known = separation((own,), (), beside, [drives.with_clocks]) / inflation
 
-    return [_ambiguity(drives, (step.added, CLOCKS[0]), gain)]
+        def gain(drive: Field, own: Effect = own, beside: list[Effect] = beside, known: float = known) -> float:
+            return separation((own,), (), beside, [drives.with_clocks, drive]) / inflation - known
+
+        if known < learned.decisions.alternative_nats:
+            found.append(_ambiguity(drives, (own.name, CLOCKS[0]), gain))
+    return found
 
 
 def _beside_clocks(drives: Drives) -> Sequence[Effect]:

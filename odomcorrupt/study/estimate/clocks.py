@@ -62,6 +62,7 @@ class Clocks:
     ambiguous_nats : log-likelihood gain of a clock offset that is not in the model, because an effect explains more;
         that may be the clock's
     margins_nats : log-likelihood gain of a clock over each effect beside which it is not significant
+    instead : effects that resemble a clock and explain nearly as much as one of the model, at their estimated size
     truths : noise of each recording's truth, from the fit of its clock
     left_nats : log-likelihood gain of dependences on accelerations beside the clocks
     ranges_s : least and largest offset within two standard errors, with the usual systematic effects and rivals free;
@@ -81,6 +82,7 @@ class Clocks:
     left_nats: float = 0.0
     ranges_s: tuple[tuple[float, float], ...] = ()
     held: tuple[str, ...] = ()
+    instead: tuple[Effect, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import EffectError, FitError
-from odomcorrupt.study.estimate.clocks import find_clocks, levelled, mounting_of, with_rounding
+from odomcorrupt.study.estimate.clocks import RIVALS, find_clocks, levelled, mounting_of, with_rounding
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
@@ -424,17 +424,22 @@ class _Selection:
             for j, more in self._instead(i).items()
             if isinstance(self.competing[j], ClockTerm)
         ]
-        margins = [
-            min([gains[i], *(-more for more in self._instead(i).values())])
-            for i in self.chosen
-            if isinstance(self.competing[i], ClockTerm)
-        ]
+        ticking = {i: self._instead(i) for i in self.chosen if isinstance(self.competing[i], ClockTerm)}
+        margins = [min([gains[i], *(-more for more in others.values())]) for i, others in ticking.items()]
+        instead: dict[str, Effect] = {}
+        for i, others in ticking.items():
+            for j, more in sorted(others.items(), key=itemgetter(1)):
+                term = self.competing[j]
+                if isinstance(term, LibraryTerm) and term.name in RIVALS and -more < self.decisions.alternative_nats:
+                    theta = self.evidence.estimate((*(k for k in self.chosen if k != i), j))
+                    instead[term.name] = term.effect(theta[-term.width :].tolist())
         return replace(
             clocks,
             clocks=self.fit.problem.clocks,
             free=free,
             errors=with_rounding(final.clock_errors.tolist(), free, recordings),
-            margins_nats=(*clocks.margins_nats, *margins) if np.any(free) else (),
+            margins_nats=tuple(margins) if np.any(free) else (),
+            instead=tuple(instead.values()),
             ambiguous_nats=max([0.0, *(gains[i] + more for i, more in in_place)]),
             left_nats=sum(one.nats for one in found if one.regressor.endswith("acceleration")),
         )
