@@ -59,8 +59,8 @@ class Clocks:
     The error of an offset includes the rounding of stamps.
 
     noise, beside : noise and nuisance effects of the last fit: starting values for later fits, not results
-    ambiguous_nats : log-likelihood gain of a clock offset that is not in the model, because an effect explains more;
-        that may be the clock's
+    ambiguous_nats : log-likelihood gain of a clock offset that is not in the model, because an effect explains more and
+        may have absorbed it
     margins_nats : log-likelihood gain of a clock over each effect beside which it is not significant
     instead : effects that resemble a clock and explain nearly as much as one of the model, at their estimated size
     truths : noise of each recording's truth, from the fit of its clock
@@ -223,12 +223,12 @@ def _find_clock(runs: Sequence[Recording], approach: Approach, beside: Sequence[
         errors = (float(best.clock_errors[0, 0]), float(best.clock_errors[0, 1]))
         last, error = (clock.rate, errors[1]) if free[1] else (clock.offset_s, errors[0])
         clear = abs(last) > _CLOCK_LIMIT * error > 0.0
-        harmless = _harmless(runs, clock, nuisance) or (clear and _harmless(runs, clock))
-        if harmless and (clear or (not free[1] and _of_stamps(runs, clock, errors[0]))):
+        expected = not free[1] and _of_stamps(runs, clock, errors[0])
+        if (clear and _harmless(runs, clock)) or ((clear or expected) and _harmless(runs, clock, nuisance)):
             return _Found(clock, free, errors, best)
     if all(r.matched for r in runs) and errors[0] < _KNOWN_S and abs(clock.offset_s) < _PULLED_S:
         return _Found(Clock(), free, errors, best)
-    unused_s = (clock.offset_s, errors[0]) if harmless or not clear else (0.0, 0.0)
+    unused_s = (0.0, 0.0) if clear else (clock.offset_s, errors[0])
     return _Found(Clock(), (False, False), (0.0, 0.0), best, unused_s)
 
 
