@@ -13,7 +13,7 @@ KINDS = 19
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(find_spec("atheris") is None, reason="atheris has no wheel here; pip install -e .[fuzz]")
+@pytest.mark.skipif(find_spec("atheris") is None, reason="atheris is not installed: pip install -e .[fuzz]")
 def test_nothing_that_is_read_breaks_a_promise(tmp_path):
     done = subprocess.run(
         [sys.executable, str(SCRIPT), "--seconds", "20", "--keep", str(tmp_path / "kept")],
