@@ -2,9 +2,7 @@
 
 import re
 
-COMMAND_LINE_ONLY = frozenset((
-    "--clock", "--help", "--rate", "--returns", "--save", "--speed", "--turn-rate",
-))  # fmt: skip
+COMMAND_LINE_ONLY = frozenset(("--clock", "--help", "--rate", "--returns", "--save", "--speed", "--turn-rate"))
 """Options in messages that no argument in Python corresponds to."""
 _ARGUMENTS = {
     "--add": "effects", "--effect": "effects", "--end": "ends", "--exclude-topic": "exclude", "--input": "original",

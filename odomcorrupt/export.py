@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from odomcorrupt.corruption.covariance import FLOOR
+from odomcorrupt.drive_types import STEERED
 from odomcorrupt.effects.gains import UnequalWheels, Wheelbase, WheelScale
+from odomcorrupt.effects.steering import SteeringScale
 from odomcorrupt.errors import ModelError
 from odomcorrupt.geometry.se2 import Increments
 from odomcorrupt.model.noise_laws import variances
@@ -128,12 +130,21 @@ def amcl_alphas(
 
 WHEEL_EFFECTS = frozenset({WheelScale.name, UnequalWheels.name, Wheelbase.name})
 """Effects that are equivalent to a wrong radius or a wrong track."""
+_TURNED = frozenset({WheelScale.name, Wheelbase.name, SteeringScale.name})
+BASES = {
+    "omni": ("mecanum_drive_controller", "mecanum-drive", "MecanumDrive", WHEEL_EFFECTS - {UnequalWheels.name}),
+    "car": ("ackermann_steering_controller", "ackermann-steering", "AckermannSteering", _TURNED),
+    "tricycle": ("tricycle_steering_controller", "", "", _TURNED),
+    "": ("diff_drive_controller", "diff-drive", "DiffDrive", WHEEL_EFFECTS),
+}
+"""Controller of ros2_controllers, plugin of Gazebo, and the effects that constants of the wheels represent."""
 
 
 def wheel_multipliers(model: MotionModel, track_m: float | None = None) -> dict[str, float]:
     """Return the ratios of true to nominal track and radii, by their names in a controller.
 
-    With them a controller computes v = v' + f_along and omega = omega' + f_yaw.
+    With them a controller computes v = v' + f_along and omega = omega' + f_yaw. The separation of a steered base is
+    that of its axles.
 
     track_m : nominal distance between the wheels, if the model does not contain it
 
@@ -144,6 +155,8 @@ def wheel_multipliers(model: MotionModel, track_m: float | None = None) -> dict[
     """
     scale = 1.0 + sum(effect.e for effect in model.effects if isinstance(effect, WheelScale))
     turns = scale - sum(effect.e / (1.0 + effect.e) for effect in model.effects if isinstance(effect, Wheelbase))
+    if wheel_layout(model) in STEERED:
+        turns += sum(effect.e for effect in model.effects if isinstance(effect, SteeringScale))
     curvature = sum(effect.curvature for effect in model.effects if isinstance(effect, UnequalWheels))
     track = track_m if track_m is not None else model.track_m
     if curvature and track is None:
@@ -187,22 +200,20 @@ class Snippet:
     @property
     def text(self) -> str:
         """Comments and YAML or SDF."""
-        mark = "" if self._sdf else "# "
+        sdf = self.lines[0].startswith("<")
+        mark = "" if sdf else "# "
         wrapper = textwrap.TextWrapper(_WIDTH, initial_indent=mark, subsequent_indent=mark, break_on_hyphens=False)
         comments = [line for one in self.comments for line in wrapper.wrap(one)]
-        return "\n".join([*(["<!--", *comments, "-->"] if self._sdf else comments), *self.lines])
-
-    @property
-    def _sdf(self) -> bool:
-        return self.lines[0].startswith("<")
+        return "\n".join([*(["<!--", *comments, "-->"] if sdf else comments), *self.lines])
 
     def condensed(self) -> str:
         """Return the SDF, or the YAML in flow style with one comment that names the effects it cannot express."""
-        if self._sdf:
-            return "\n".join(self.lines)
         left = self.left_out
-        said = f"# not expressed: {', '.join(left)} (-v says why)" if left else "# -v says what these numbers assume"
-        lines = [said if len(said) <= _WIDTH else "# some effects are not expressed: -v names them"]
+        said = f"not expressed: {', '.join(left)} (-v says why)" if left else "-v says what these numbers assume"
+        said = said if len(said) <= _WIDTH - 9 else "some effects are not expressed: -v names them"
+        if self.lines[0].startswith("<"):
+            return "\n".join([f"<!-- {said} -->", *self.lines])
+        lines = [f"# {said}"]
         bare = "\n".join(line for line in self.lines if not line.lstrip().startswith("#"))
         for node in re.split(r"\n(?=\S)", bare):
             head, *entries = re.split(r"\n {4}(?=\S)", node)
@@ -222,9 +233,10 @@ class Base(NamedTuple):
     radius: float | None = None
 
 
-def is_omni(model: MotionModel) -> bool:
-    """Return whether the model is of a base that drives sideways, as one with mecanum wheels."""
-    return model.noise.law.along_travel or model.setup.drive_type == "omni"
+def wheel_layout(model: MotionModel) -> str:
+    """Return "omni", "car", "tricycle", or "" for two wheels that are compared."""
+    given = "omni" if model.noise.law.along_travel else model.setup.drive_type
+    return given if given in BASES else ""
 
 
 def gazebo_snippet(model: MotionModel, base: Base) -> Snippet:
@@ -235,47 +247,44 @@ def gazebo_snippet(model: MotionModel, base: Base) -> Snippet:
     Raises
     ------
     ModelError
-        If a dimension is unknown, or a wheel's size would not be positive.
+        If a dimension is unknown, a wheel's size would not be positive, or Gazebo has no such plugin.
     """
-    track, wheelbase, radius = _known(model, base, "gazebo: the plugin")
-    separation, *radii = wheel_multipliers(model, track).values()
+    layout = wheel_layout(model)
+    _, plugin, name, represented = BASES[layout]
+    if not plugin:
+        raise ModelError(f"gazebo: no plugin is of a {layout}; let messages pass through oc.Drift (docs/api.md)")
+    track, axles, radius, separation, *radii = _known(model, base, "gazebo: the plugin")
     mean = 0.5 * sum(radii)
     comments = ["The plugin computes odometry with these dimensions; the robot rolls on its links (docs/export.md)."]
-    if radii[0] != radii[1]:
+    if "unequal_wheels" in represented and radii[0] != radii[1]:
         left, right = (number(radius * own / mean) for own in radii)
         comments.append(f"The plugin has one radius: make the left wheel's collision {left} m, the right's {right} m.")
-    values = {"wheel_separation": track / separation, "wheel_radius": radius / mean}
-    plugin = ("diff-drive", "DiffDrive")
-    if is_omni(model):
-        values["wheelbase"] = wheelbase / separation
-        plugin = ("mecanum-drive", "MecanumDrive")
+    sizes = {"wheel_separation": track, "wheel_base" if layout == "car" else "wheelbase": axles}
+    values = {name: size / separation for name, size in sizes.items() if size} | {"wheel_radius": radius / mean}
     lines = [
-        f'<plugin filename="gz-sim-{plugin[0]}-system" name="gz::sim::systems::{plugin[1]}">',
+        f'<plugin filename="gz-sim-{plugin}-system" name="gz::sim::systems::{name}">',
         *(f"  <{name}>{number(value)}</{name}>" for name, value in values.items()),
         "</plugin>",
     ]
-    return _snippet(model, comments, lines, values, _CONSTANTS, WHEEL_EFFECTS)
+    return _snippet(model, comments, lines, values, _CONSTANTS, represented)
 
 
-def wheels_snippet(model: MotionModel, base: Base, controller: str) -> Snippet:
-    """Return the true dimensions as parameters of diff_drive_controller or, of an omni base, mecanum_drive_controller.
+def wheels_snippet(model: MotionModel, base: Base, node: str) -> Snippet:
+    """Return the true dimensions as parameters of the controller for the model's wheels.
 
-    The first takes multipliers of its dimensions, the second the dimensions.
+    diff_drive_controller takes multipliers of its dimensions, the others take the dimensions.
     """
-    assumed = (
-        "True over nominal wheel radii and track. They replace multipliers of 1; multiply them by others that were "
-    )
-    represented = WHEEL_EFFECTS
-    if is_omni(model):
-        track, wheelbase, radius = _known(model, base, "ros2_control: mecanum_drive_controller")
-        separation, *radii = wheel_multipliers(model, track).values()
-        values = {
-            "kinematics.wheels_radius": 0.5 * sum(radii) * radius,
-            "kinematics.sum_of_robot_center_projection_on_X_Y_axis": 0.5 * (track + wheelbase) * separation,
-        }
-        represented -= {UnequalWheels.name}
-        assumed = "True dimensions, if --wheel-radius, --track and --wheelbase are those that were "
+    layout = wheel_layout(model)
+    controller, _, _, represented = BASES[layout]
+    if layout:
+        assumed = "True dimensions, if those in the options are those that were "
+        track, axles, radius, separation, *radii = _known(model, base, f"ros2_control: {controller}")
+        values = {"traction_wheels_radius": 0.5 * sum(radii) * radius, "wheelbase": axles * separation}
+        if layout == "omni":
+            names = ("kinematics.wheels_radius", "kinematics.sum_of_robot_center_projection_on_X_Y_axis")
+            values = dict(zip(names, (0.5 * sum(radii) * radius, 0.5 * (track + axles) * separation), strict=True))
     else:
+        assumed = "True over nominal radii and track, in place of multipliers of 1; multiply them by others that were "
         values = wheel_multipliers(model, base.track)
     comments = [
         f"{assumed}set when the odometry was recorded. They act on the wheel commands, too. Derived in docs/export.md."
@@ -285,25 +294,26 @@ def wheels_snippet(model: MotionModel, base: Base, controller: str) -> Snippet:
             "gyro_scale is left out: it is the gain of a heading sensor. Where the heading comes from the wheels it "
             "is wheelbase under another name; call it so in the model file, then it is exported."
         )
-    lines = [f"{controller}:", "  ros__parameters:", *(f"    {name}: {number(v)}" for name, v in values.items())]
+    lines = [f"{node}:", "  ros__parameters:", *(f"    {name}: {number(v)}" for name, v in values.items())]
     return _snippet(model, comments, lines, values, _CONSTANTS, represented)
 
 
-def _known(model: MotionModel, base: Base, program: str) -> tuple[float, float, float]:
-    """Return track, wheelbase and radius, m; the wheelbase is that of an omni base alone, else 0."""
-    track = base.track if base.track is not None else model.track_m
-    omni = is_omni(model)
-    wheelbase = base.wheelbase if omni else 0.0
-    if track is None or base.radius is None or wheelbase is None:
-        needed = "--track, --wheelbase and --wheel-radius" if omni else "--track and --wheel-radius"
-        raise ModelError(f"{program} takes dimensions, not multipliers; give {needed}")
-    return track, wheelbase, base.radius
+def _known(model: MotionModel, base: Base, program: str) -> tuple[float, ...]:
+    """Return track, wheelbase and radius, m, and their multipliers; 0 for those that the model's wheels do not have."""
+    layout = wheel_layout(model)
+    track = 0.0 if layout in STEERED else base.track if base.track is not None else model.track_m
+    sizes = {"--track": track, "--wheelbase": base.wheelbase if layout else 0.0, "--wheel-radius": base.radius}
+    known = [size for size in sizes.values() if size is not None]
+    if len(known) < len(sizes):
+        *first, last = (option for option, size in sizes.items() if size != 0.0)
+        raise ModelError(f"{program} takes dimensions, not multipliers; give {', '.join(first)} and {last}")
+    return (*known, *wheel_multipliers(model, track).values())
 
 
 def amcl_snippet(model: MotionModel, update_min_d: float, update_min_a: float, turn: Turn, drive: Steady) -> Snippet:
     """Return the alphas, and the update distances at which they apply, as parameters of amcl."""
     reference = "while rolling along an arc" if turn == "rolling" else "on the spot"
-    noise, omni = model.noise, is_omni(model)
+    noise, omni = model.noise, wheel_layout(model) == "omni"
     assumed = (
         f"amcl's alphas (variance = alpha x motion^2 per update) with the variances of {noise.words}; "
         f"matched after one update on a straight drive of {update_min_d:g} m and on a turn of {update_min_a:g} rad "

@@ -17,14 +17,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _KINDS = {
-    stat.S_IFDIR: "a directory",
-    stat.S_IFIFO: "a pipe",
-    stat.S_IFSOCK: "a socket",
-    stat.S_IFCHR: "a device",
+    stat.S_IFDIR: "a directory", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device",
     stat.S_IFBLK: "a device",
-}
-
-
+}  # fmt: skip
 TOML_BYTES = 1 << 20
 """Largest size of a TOML text."""
 _MOST_DOTS = 2000

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -42,17 +42,12 @@ class ContractError(AssertionError):
     """An effect violates the contract of effects."""
 
 
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """Stamps (n,) and poses (n, 3) of a clean drive."""
+class Drive(NamedTuple):
+    """Stamps (n,), poses (n, 3), and motion of a clean drive, as reported by odometry without error."""
 
     stamps_ns: NDArray[np.int64]
     xyt: Array
-
-    @property
-    def motion(self) -> Motion:
-        """The drive's motion, as reported by odometry without error."""
-        return motion_of((self.stamps_ns - self.stamps_ns[0]) * 1e-9, self.xyt, track_m=TRACK_M)
+    motion: Motion
 
 
 def contract_drive(seconds: float = 30.0, rate_hz: float = 50.0, *, sideways: bool = False) -> Drive:
@@ -70,7 +65,8 @@ def contract_drive(seconds: float = 30.0, rate_hz: float = 50.0, *, sideways: bo
     steps = Increments(v * dt, vy * dt, omega * dt + np.where(np.arange(len(v)) % 1000 < 500, 0.0, 0.5 * dt))
     xyt = accumulate(np.array([0.3, -0.2, 3.0]), steps)
     repeated = np.sort(np.append(np.arange(len(t_s)), len(t_s) // 3))
-    return Drive(100 * 10**9 + np.round(t_s * 1e9).astype(np.int64)[repeated], xyt[repeated])
+    stamps_ns = 100 * 10**9 + np.round(t_s * 1e9).astype(np.int64)[repeated]
+    return Drive(stamps_ns, xyt[repeated], motion_of((stamps_ns - stamps_ns[0]) * 1e-9, xyt[repeated], track_m=TRACK_M))
 
 
 def check_effect(effect_class: type[Effect]) -> None:
@@ -260,7 +256,9 @@ def _check_moments(effect: Effect) -> None:
         drawn = effect.drawn(normals, effect.start(stream(1, 0, effect.name))).normals
         _compare(effect, drawn, np.zeros(4), np.ones(4))
         return
-    effect = _with_frequent_events(effect)
+    # rare events are made frequent enough to be counted
+    sizes = {p.name: min(20.0 * p.typical, 0.5 * p.high) for p in amplitudes(effect)}
+    effect = replace(effect, **sizes)  # type: ignore[type-var]
     drive = contract_drive(6.0, 100.0)
     motion, steps = drive.motion, _steps(drive)
     moments = effect.moments(motion)
@@ -276,12 +274,6 @@ def _check_moments(effect: Effect) -> None:
     # a few rows far apart: neighbouring rows are correlated
     rows = np.linspace(5, len(motion) - 1, 24).astype(int)
     _compare(effect, np.array(samples)[:, rows], moments.mean[rows], moments.variance[rows])
-
-
-def _with_frequent_events(effect: Effect) -> Effect:
-    """Return the effect with rare events made frequent enough to be counted."""
-    sizes = {p.name: min(20.0 * p.typical, 0.5 * p.high) for p in amplitudes(effect)}
-    return replace(effect, **sizes)  # type: ignore[type-var]
 
 
 def _compare(effect: Effect, samples: Array, mean: Array, variance: Array) -> None:

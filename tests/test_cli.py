@@ -299,11 +299,8 @@ def test_interrupts_and_errors_end_with_their_code(monkeypatch, capsys, error, c
 
 
 def test_a_terminal_is_not_fed_with_bytes(monkeypatch, capsys):
-    class Terminal(io.StringIO):
-        def isatty(self):
-            return True
-
-    monkeypatch.setattr(sys, "stdout", Terminal())
+    monkeypatch.setattr(sys, "stdout", io.StringIO())
+    sys.stdout.isatty = lambda: True
     assert run([OFFICE, "-"]) == 2
     assert "stdout is a terminal" in capsys.readouterr().err
 

@@ -96,8 +96,8 @@ def export_parameters(
     model : model of the robot, noise, model file or preset
     to : "ros2_control", "nav2", "robot_localization" or "gazebo"
     track_m : nominal distance between left and right wheels, metres; by default that of the model
-    wheelbase_m, wheel_radius_m : distance between the axles of an omni base, and radius of the wheels, metres; for
-        "gazebo", and for "ros2_control" if the base is omni
+    wheelbase_m, wheel_radius_m : distance between the axles of an omni or steered base, and radius of the wheels,
+        metres; for "gazebo", and for "ros2_control" unless the base has two wheels
     update_min_d, update_min_a : distance (m) and angle (rad) after which amcl updates its particles
     turn : turn on which amcl's noise is matched to the model's: "rolling" (along an arc) or on the "spot"
     speed, turn_rate, rate : speed (m/s) and turn rate (rad/s) at which the noise is evaluated, and rate of the
@@ -124,7 +124,7 @@ def export_parameters(
     robot = as_model(model).motion_model
     drive = export.Steady(speed, turn_rate, rate)
     base = export.Base(track_m, wheelbase_m, wheel_radius_m)
-    node = controller or ("mecanum_drive_controller" if export.is_omni(robot) else "diff_drive_controller")
+    node = controller or export.BASES[export.wheel_layout(robot)][0]
     snippets = {
         "nav2": lambda: export.amcl_snippet(robot, update_min_d, update_min_a, turn, drive),
         "robot_localization": lambda: export.twists_snippet(robot, drive, node),

@@ -36,7 +36,9 @@ def _number(
 @setting(
     "--track", "track_m", type=TRACK, metavar="M", help="Nominal distance between the wheels. [default: the model's]"
 )
-@click.option("--wheelbase", "wheelbase_m", type=TRACK, metavar="M", help="Distance between the axles of an omni base.")
+@click.option(
+    "--wheelbase", "wheelbase_m", type=TRACK, metavar="M", help="Distance between the axles, omni or steered base."
+)
 @click.option(
     "--wheel-radius", "wheel_radius_m", metavar="M", help="Nominal radius of the wheels.",
     type=Number("metres of a wheel's radius", 0.0, 1.5, above=True, else_="3.5 cm are 0.035"),
@@ -58,17 +60,14 @@ def command(model: Path, *, target: Target | None, output: Path | None, console:
     """Print a model's parameters as YAML or SDF for another program.
 
     -v adds comments: assumptions, and effects that the program cannot express. -o writes all of it to a file.
-    Wheel multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
+    Dimensions come from wheel_scale, unequal_wheels, wheelbase and steering_scale; alphas and covariances from the law.
     """
     from odomcorrupt.api.export import export_parameters
     from odomcorrupt.api.model import as_model
-    from odomcorrupt.drive_types import STEERED
 
     if target is None:
         raise click.UsageError("--to: says which program; give --to ros2_control, nav2, robot_localization or gazebo")
     robot = as_model(str(model))
-    if robot.motion_model.setup.drive_type in STEERED and target in ("ros2_control", "gazebo"):
-        console.note("the model is of a steered robot, and this is a differential drive: take the wheels' radius alone")
     with usage_errors(ModelError):
         result = export_parameters(robot, target, **given)
     if target == "nav2" and not result.result.values["alpha1"]:

@@ -92,13 +92,6 @@ def test_of_many_programs_with_one_new_output_one_succeeds(tmp_path):
     assert (tmp_path / "out.mcap").read_text() == str(won[0])
 
 
-@pytest.fixture
-def dead():
-    process = subprocess.Popen([sys.executable, "-c", ""])
-    process.wait()
-    return process.pid
-
-
 def test_leftovers_of_dead_processes_of_this_machine_are_swept_and_only_those(tmp_path, dead):
     host = beside(tmp_path / "out.mcap").name.split(".")[3]
     left = [f".out.mcap.{host}.{dead}.0123abcd.partial", f".out.mcap.{host}.{dead}.89abcdef.partial-journal"]

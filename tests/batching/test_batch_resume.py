@@ -87,14 +87,6 @@ def _runs(pid):
         return False
 
 
-@pytest.fixture
-def dead():
-    """Return the number of a process that is no more."""
-    process = subprocess.Popen([sys.executable, "-c", ""])
-    process.wait()
-    return process.pid
-
-
 HOST = beside(Path("any")).name.split(".")[2]
 LEFT = ("run_000001.mcap", "run_000007.mcap", "clean.tum", "manifest.jsonl", "batch.json", "robots/000002.toml")
 

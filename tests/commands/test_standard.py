@@ -113,16 +113,14 @@ def test_an_interrupted_batch_says_what_is_kept(tmp_path, capsys, monkeypatch):
 
 
 def test_colours_are_for_terminals_whose_user_wants_them(monkeypatch):
-    class Terminal(io.StringIO):
-        def isatty(self):
-            return True
-
+    terminal = io.StringIO()
+    terminal.isatty = lambda: True
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.delenv("NO_COLOR", raising=False)
-    assert _colours(Terminal())
+    assert _colours(terminal)
     assert not _colours(io.StringIO())
     monkeypatch.setenv("NO_COLOR", "1")
-    assert not _colours(Terminal())
+    assert not _colours(terminal)
 
 
 def test_defaults_come_from_a_file_and_what_is_typed_wins(tmp_path, monkeypatch, capsys):

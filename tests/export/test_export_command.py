@@ -182,3 +182,18 @@ def test_an_omni_base_is_exported_for_its_own_controller_plugin_and_motion_model
     assert amcl["alpha1"] == pytest.approx(0.03 / 20 if "law" in given else 0.03**2 / 0.2)
     for target in ("ros2_control", "gazebo"):
         assert "give --track, --wheelbase and --wheel-radius" in export(target, **given)[3]
+
+
+def test_a_steered_base_is_exported_for_its_own_controller_and_plugin(export):
+    more = '[[effect]]\nname = "steering_scale"\ne = 0.02\n[setup]\ndrive_type = "{}"'
+    size, longer = ["--wheelbase", "0.3", "--wheel-radius", "0.05"], 1.0 / (1.02 - 0.03 / 1.03)
+    for kind, controller in (("car", "ackermann_steering_controller"), ("tricycle", "tricycle_steering_controller")):
+        _, found, text, _ = export("ros2_control", *size, more=more.format(kind))
+        values = {"wheelbase": 0.3 * longer, "traction_wheels_radius": 0.05}
+        assert found[controller]["ros__parameters"] == pytest.approx(values, rel=1e-5)
+        assert "constants of the wheels): unequal_wheels, side_slip" in comments(text)
+    assert "oc.Drift" in export("gazebo", *size, more=more.format("tricycle"))[3]
+    sdf = export("gazebo", *size, more=more.format("car"))[2]
+    assert 'filename="gz-sim-ackermann-steering-system" name="gz::sim::systems::AckermannSteering"' in sdf
+    assert float(re.findall(r"<wheel_base>(.+)</wheel_base>", sdf)[0]) == pytest.approx(0.3 / longer, 1e-4)
+    assert "give --wheelbase and --wheel-radius" in export("gazebo", more=more.format("car"))[3]

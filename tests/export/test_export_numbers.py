@@ -6,13 +6,14 @@ from functools import cache
 import numpy as np
 import pytest
 
+from odomcorrupt import export
 from odomcorrupt.correction.undo import undo_effects
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import ModelError
 from odomcorrupt.export import Steady, amcl_alphas, amcl_snippet, message_noise, twist_variances, wheel_multipliers
 from odomcorrupt.geometry.se2 import Increments, accumulate, increments
-from odomcorrupt.model.motion_model import MotionModel, Noise, Step
+from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, Step
 from odomcorrupt.model.noise_laws import Coefficients
 
 TRACK = 0.4
@@ -61,6 +62,21 @@ def test_a_controller_with_these_multipliers_computes_the_corrected_path(effects
     controller = wheel_path(right * right_radius, left * left_radius, TRACK * separation)
     assert np.abs(corrected - nominal).max() > 0.05
     np.testing.assert_allclose(controller, corrected, atol=tolerance)
+
+
+def test_a_steering_controller_with_these_dimensions_computes_the_corrected_path():
+    t_s = np.arange(2000) / 50.0
+    tangent, travel = np.tan(0.15 * np.sin(0.7 * t_s[1:])), 0.01 + 0.004 * np.sin(t_s[1:])
+
+    def path(radius, axles):
+        return accumulate(np.zeros(3), Increments(radius * travel, 0.0 * travel, radius * travel * tangent / axles))
+
+    effects = tuple(effect_from_values(f"{name}_scale", {"e": e}) for name, e in (("steering", 0.05), ("wheel", 0.02)))
+    model = MotionModel(SILENT, effects, setup=Setup(drive_type="car"))
+    corrected = path(1.0, 0.3) + undo_effects(effects, t_s, path(1.0, 0.3), None).error_xyt
+    found = path(*export.wheels_snippet(model, export.Base(wheelbase=0.3, radius=1.0), "node").values.values())
+    np.testing.assert_allclose(found, corrected, atol=1e-9)
+    assert np.abs(found - path(1.0, 0.3)).max() > 0.05
 
 
 def test_unequal_wheels_need_a_track_and_the_others_do_not():

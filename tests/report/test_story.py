@@ -49,15 +49,13 @@ CHOICES = (
     Ambiguity(("lever_arm", "mount_yaw"), "", None, 0.0),
 )
 UNTESTABLE = (
-    UntestableEffect("backlash", "never reversed", PLAN),
-    UntestableEffect("accel_slip", "never reversed", PLAN),
+    *(UntestableEffect(name, "never reversed", PLAN) for name in ("backlash", "accel_slip")),
     UntestableEffect("slope", "no map", None, "give a map"),
     UntestableEffect("time_offset", "it stood still", None),
 )
 LIMITS = (
     DetectionLimit("wheel_scale", "e", 0.0012, ""),
-    DetectionLimit("lever_arm", "x", 0.0034, "m"),
-    DetectionLimit("lever_arm", "y", 0.005, "m"),
+    *(DetectionLimit("lever_arm", axis, size, "m") for axis, size in (("x", 0.0034), ("y", 0.005))),
 )
 ADVICE = Advice(CHOICES, UNTESTABLE, LIMITS, PLAN)
 NONE = Advice((), (), (), None)

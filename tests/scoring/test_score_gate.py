@@ -37,13 +37,9 @@ def test_a_rise_of_the_worst_runs_alone_is_found_by_their_quantile():
     assert not compare_paired(old, new, statistic="median").rise
 
 
-def test_one_pair_of_results_has_one_verdict():
+def test_one_pair_of_results_has_one_verdict_and_equal_results_are_no_rise():
     old, new = pair(np.random.default_rng(4), 0.1)
     assert compare_paired(old, new, statistic="p90") == compare_paired(old, new, statistic="p90")
-
-
-def test_equal_results_are_no_rise():
-    old, _ = pair(np.random.default_rng(5), 0.0)
     found = compare_paired(old, old)
     assert (found.rise, found.ratio, found.p) == (False, 1.0, 1.0)
 

@@ -178,10 +178,7 @@ CARPET = "where(abs(0.8 * x + 0.6 * y - 4.0) < 4.0, 1, 0) * where(abs(0.8 * y - 
 @pytest.mark.parametrize(
     ("seed", "text"),
     [
-        (
-            94,
-            f"along += abs(v) * cos(0.6 - theta) * {RAMP}; across += abs(v) * sin(0.6 - theta) * {RAMP}",
-        ),
+        (94, f"along += abs(v) * cos(0.6 - theta) * {RAMP}; across += abs(v) * sin(0.6 - theta) * {RAMP}"),
         (98, f"yaw += 0.1 * v * {IRON}"),
     ],
 )

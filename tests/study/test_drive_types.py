@@ -83,9 +83,7 @@ def test_what_is_wrong_with_a_car_has_its_name_and_size(flaw, name, parameter, s
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("flaw", "name", "parameter", "size"),
-    [
-        (Flaw(offset=OFFSET_RAD, wheel=-0.012), "steering_offset", "curvature", OFFSET_RAD / AXLES_M),
-    ],
+    [(Flaw(offset=OFFSET_RAD, wheel=-0.012), "steering_offset", "curvature", OFFSET_RAD / AXLES_M)],
 )
 def test_an_angle_of_a_driven_front_wheel_changes_the_travel_too(flaw, name, parameter, size):
     learned = learn([replace(forklift(1, flaw), drive_type="tricycle")])

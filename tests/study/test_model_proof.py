@@ -119,10 +119,7 @@ def test_a_learned_law_is_tested_at_the_recorded_speeds_themselves(drive):
 
 
 TRACK_M = 0.4
-STRENGTHS = {
-    "usual": Coefficients(0.0105, 0.0087, 0.0018, 0.0005),
-    "typical": Coefficients(0.05, 0.02, 0.05, 0.01),
-}
+STRENGTHS = {"usual": Coefficients(0.0105, 0.0087, 0.0018, 0.0005), "typical": Coefficients(0.05, 0.02, 0.05, 0.01)}
 
 
 def corrupted_drive(strength, effects=(), seed=10):

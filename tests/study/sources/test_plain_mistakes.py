@@ -81,11 +81,7 @@ def test_a_factor_is_named_and_found(scaled, name, factor, headed):
     assert np.allclose(found.gains, 1.0 / ratio[[0, 2]], rtol=0.02)
 
 
-SIGNS = {
-    "left and right exchanged": (1, -1, -1),
-    "forward is -x": (-1, -1, 1),
-    "both wheels negated": (-1, -1, -1),
-}
+SIGNS = {"left and right exchanged": (1, -1, -1), "forward is -x": (-1, -1, 1), "both wheels negated": (-1, -1, -1)}
 
 
 @pytest.mark.parametrize("name", SIGNS)
