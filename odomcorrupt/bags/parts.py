@@ -36,7 +36,7 @@ class BagFiles:
     files : in the order of recording
     metadata : text of metadata.yaml, or None without one
     info : the bag information in it, empty without one
-    unlisted : names of other bags in the directory
+    unlisted : names of other bags in the directory, and what is done with them
     mode : what of the bag is compressed
     losses : files that are not there, and an unreadable metadata.yaml, one sentence each, with recovery
     """
@@ -84,7 +84,7 @@ def find_files(path: Path, *, recover: bool = False) -> BagFiles:
 
 
 def _listed(directory: Path, *, recover: bool) -> BagFiles:
-    """Return the files that metadata.yaml lists; with recovery those of them that are there."""
+    """Return the files that metadata.yaml lists; with recovery those that are there, and further parts."""
     metadata = directory / "metadata.yaml"
     info = read_info(metadata)
     mode = str(info.get("compression_mode") or "none").lower()
@@ -98,17 +98,23 @@ def _listed(directory: Path, *, recover: bool) -> BagFiles:
     files = [directory / str(name).replace("\\", "/").rsplit("/", 1)[-1] for name in info["relative_file_paths"]]
     there = [file for file in files if file.exists()]
     missing = [file.name for file in files if not file.exists()]
-    held = _shortened([file.name for file in _bags_in(directory) if file not in files])
+    more = [file for file in bags_in(directory) if file not in files]
+    held = _shortened([file.name for file in more])
     if not there or (missing and not recover):
         raise BagError(
             f"{metadata}: lists {_shortened(missing) or 'no file'}, which is not there{held and f' (but {held} is)'}; "
             "restore or rename the file, or remove metadata.yaml: the directory's files are then read by their names"
         )
     losses = [f"{directory}: {name} is listed in metadata.yaml and is not there" for name in missing]
+    every = sorted([*there, *more], key=_counting)
+    if recover and len({file.suffix for file in every}) == 1 and _missing_parts(every) is not None:
+        there, held = every, held and f"{held}: read, as a part of the recording"
+    elif held:
+        held += ": left out; --recover reads what is a part of the recording"
     return BagFiles(there, read_text(metadata), info, held, cast("Mode", mode), losses)
 
 
-def _bags_in(path: Path) -> list[Path]:
+def bags_in(path: Path) -> list[Path]:
     """Return the visible bags of a directory, or those that a pattern matches, in the order of the numbers in them."""
     visible = [
         one
@@ -125,7 +131,7 @@ def _counting(file: Path) -> list[str | int]:
 
 def _named(path: Path, *, recover: bool) -> BagFiles:
     """Return the files of a directory without metadata.yaml, whose names must be those of one recording."""
-    every = _bags_in(path)
+    every = bags_in(path)
     packed = [one for one in every if one.suffix in SUFFIXES]
     files = [one for one in every if one.suffix in (".db3", ".mcap")]
     if files and packed:
@@ -176,7 +182,7 @@ def pattern_of(files: Sequence[Path]) -> Path | None:
     pattern = files[0].parent / f"{_DATE.sub('*', glob.escape(first['stem']))}[0-9]*{first['suffix']}*"
     return (
         pattern
-        if _bags_in(pattern) == sorted(files, key=_counting) and _missing_parts(_bags_in(pattern)) is not None
+        if bags_in(pattern) == sorted(files, key=_counting) and _missing_parts(bags_in(pattern)) is not None
         else None
     )
 
@@ -268,7 +274,7 @@ class PartsReader:
         topics = [(channel.topic, channel.msgtype) for channel in self.channels.values()]
         said = differences(self._found.info, self.kind, self.count, topics)
         if self._found.unlisted:
-            said.append(f"metadata.yaml does not list {self._found.unlisted}: left out, unless it is removed")
+            said.append(f"metadata.yaml does not list {self._found.unlisted}")
         return said
 
     @property

@@ -415,15 +415,9 @@ class _Silent:
 
 
 def run_batch(
-    jobs: Sequence[Job],
-    runs: range,
-    *,
-    processes: int = 1,
-    shard: Shard = ALL,
-    verify: bool = False,
-    dask: str | None = None,
-    audience: Audience | None = None,
-) -> Made:
+    jobs: Sequence[Job], runs: range, *, processes: int = 1, shard: Shard = ALL, verify: bool = False, dask: str | None
+    = None, audience: Audience | None = None,
+) -> Made:  # fmt: skip
     """Make the missing runs of jobs and their manifests; return the number made and the failures.
 
     jobs, runs : jobs, and the numbers of their runs

@@ -255,7 +255,10 @@ class Job:
         if self.batch.to is not None:
             return _SUFFIXES[self.batch.to]
         name = self.source.with_suffix("") if self.source.suffix in (".zstd", ".zst") else self.source
-        return "" if self.source.is_dir() else name.suffix
+        if not self.source.is_dir():
+            return name.suffix
+        held = {one.suffix for one in self.source.iterdir()}  # parts of a recording of ROS 1
+        return ".bag" if held & {".bag", ".active"} and not held & {".db3", ".mcap", ".yaml", ".zstd", ".zst"} else ""
 
     def path_of(self, run: int) -> Path:
         """Return the path of a run's file."""
@@ -305,7 +308,8 @@ def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
         if spec.split:
             _require_chunks(source, spec)
         for variant in variants(spec.model, spec.sweeps, spec.points):
-            parts = ([source.stem] if len(inputs) > 1 else []) + ([variant.name] if variant.name else [])
+            own = [re.sub(r"[][*?]", "", source.stem)] if len(inputs) > 1 else []
+            parts = own + ([variant.name] if variant.name else [])
             directory = target.joinpath(*parts)
             by_file = ("--model", f"{directory}/model.toml")
             model, text = variant.model, format_model(variant.model)

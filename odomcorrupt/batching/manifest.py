@@ -20,6 +20,7 @@ import xxhash
 
 import odomcorrupt
 from odomcorrupt.bags.checksum import crc32
+from odomcorrupt.bags.open import is_pattern
 from odomcorrupt.bags.output import sweep
 from odomcorrupt.errors import BagError, BatchError
 from odomcorrupt.input_files import read_input
@@ -55,12 +56,11 @@ _WORDS = {
 
 
 def fingerprint_of(source: Path) -> str:
-    """Return a hash of all bytes of a bag."""
+    """Return a hash of all bytes of a bag, and of its files' names if it has several."""
     digest = xxhash.xxh3_128()  # against mistakes, not against malice; BLAKE2 took a sixth of a batch of overlays
-    files = sorted(file for file in source.iterdir() if file.is_file()) if source.is_dir() else [source]
     try:
-        for file in files:
-            digest.update(file.name.encode() if source.is_dir() else b"")
+        for file in (one for one in _files(source) if one == source or one.is_file()):
+            digest.update(file.name.encode() if file != source else b"")
             with file.open("rb") as stream:
                 while piece := stream.read(1 << 20):
                     digest.update(piece)
@@ -213,7 +213,9 @@ def content_of(path: Path, known_crc: int | None = None) -> Content:
 
 
 def _files(path: Path) -> list[Path]:
-    return sorted(path.iterdir()) if path.is_dir() else [path]
+    if path.is_dir():
+        return sorted(path.iterdir())
+    return sorted(path.parent.glob(path.name)) if is_pattern(path) else [path]
 
 
 def bytes_of(path: Path) -> int:

@@ -116,14 +116,9 @@ class SharedRun(Run):
 
 
 def portions(
-    transform: Transform,
-    shared: SharedRun,
-    reader: BagReader,
-    *,
-    keep: bool,
-    whole: set[int] | None,
-    writer: BagWriter | None = None,
-) -> Iterator[Portion]:
+    transform: Transform, shared: SharedRun, reader: BagReader, *, keep: bool, whole: set[int] | None, writer: BagWriter
+    | None = None,
+) -> Iterator[Portion]:  # fmt: skip
     """Yield a bag in portions; the last one may be empty.
 
     transform, shared : the transform whose run is the shared one

@@ -285,13 +285,9 @@ def _sinks(job: Job, output: Target, workers: Workers) -> Callable[[int], BagSin
 
 
 def _begin(
-    job: Job,
-    run: int,
-    output: Target,
-    sink_of: Callable[[int], BagSink],
-    drive: CleanDrive | None,
-    systematic: SystematicEffects | None,
-) -> _Run:
+    job: Job, run: int, output: Target, sink_of: Callable[[int], BagSink], drive: CleanDrive | None, systematic:
+    SystematicEffects | None,
+) -> _Run:  # fmt: skip
     model, batch = job.model_of(run), job.batch
     within = None if batch.condition is None else batch.condition.path(model, batch.seed, run, drive)
     tum = TumSink(job.path_of(run), model) if batch.output == "trajectories" else None

@@ -84,7 +84,7 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, console: Cons
     from odomcorrupt.batching.manifest import BEGINNING, read_records
     from odomcorrupt.commands._progress import Rate
 
-    inputs, target = _paths(paths, output_option)
+    inputs, target = _paths(paths, output_option, console)
     options = _options(inputs, given)
     with usage_errors(BatchOptionError):
         if given["dry_run"]:
@@ -105,17 +105,23 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, console: Cons
     return 1 if done.failures else 3 if done.losses else 0
 
 
-def _paths(paths: tuple[Path, ...], option: str | None) -> tuple[tuple[Path, ...], Path]:
+def _paths(paths: tuple[Path, ...], option: str | None, console: Console) -> tuple[tuple[Path, ...], Path]:
     """Return the inputs and the directory, which is the last argument unless -o gives it."""
+    from odomcorrupt.bags.open import is_pattern
+    from odomcorrupt.bags.parts import pattern_of
+
     inputs, last = (paths, None) if option is not None else (paths[:-1], str(paths[-1]))
     target = Path(chosen_output(last, option, "DIRECTORY"))
     if not inputs:
         raise click.UsageError("Missing argument 'DIRECTORY'.")
     for path in inputs:
-        if not path.exists():
+        if not path.exists() and not is_pattern(path):
             raise click.UsageError(f"Invalid value for 'INPUT...': Path '{path}' does not exist.")
     if target.is_file():
         raise click.UsageError(f"Invalid value for 'DIRECTORY': Directory '{target}' is a file.")
+    pattern = pattern_of(inputs) if len(inputs) > 1 else None
+    if pattern is not None and ".bag" in pattern.name:
+        console.note(f"{len(inputs)} inputs, a batch of each; the parts of one recording are one: write '{pattern}'")
     return inputs, target
 
 

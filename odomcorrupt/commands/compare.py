@@ -35,15 +35,9 @@ _NAMES = ("error", "path", "nees", "residuals", "map", "pit")
 @overwrite_option("existing outputs", passed=True)
 @standard_options
 def command(
-    arguments: tuple[str, ...],
-    *,
-    reading: Reading,
-    report: Path | None,
-    plot: tuple[str, ...],
-    fail_if_rejected: bool,
-    overwrite: bool,
-    console: Console,
-) -> int:
+    arguments: tuple[str, ...], *, reading: Reading, report: Path | None, plot: tuple[str, ...], fail_if_rejected: bool,
+    overwrite: bool, console: Console,
+) -> int:  # fmt: skip
     """Print the error measured and expected by length of path, whether each model is rejected, and where it fails.
 
     Recordings that a model was fitted on, under any name, cross-validate it: the model is refitted without each of

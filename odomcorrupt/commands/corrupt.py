@@ -53,19 +53,14 @@ def keep_freed_memory() -> None:
 @threads_option
 @standard_options
 def command(
-    input_: str,
-    output: str | None,
-    further: tuple[str, ...],
-    output_option: str | None,
-    *,
-    console: Console,
+    input_: str, output: str | None, further: tuple[str, ...], output_option: str | None, *, console: Console,
     **given: Any,
-) -> int:
+) -> int:  # fmt: skip
     """Corrupt the odometry of a bag: its poses, twists and covariances, and the TF edges that go with them.
 
-    INPUT and OUTPUT are bags of any kind; - is a pipe; the parts of a split recording are one INPUT, by their
-    directory or as run_*.bag. With --map every drawn pose is in free space, as in the motion
-    model of a particle filter; real odometry drifts through walls, so leave --map out to imitate it.
+    INPUT and OUTPUT are bags of any kind; - is a pipe; the parts of a split recording are one INPUT, by their folder or
+    as run_*.bag. With --map every drawn pose is in free space, as in the motion model of a particle filter; real
+    odometry drifts through walls, so leave --map out to imitate it.
     """
     from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.api.corruption import corrupt

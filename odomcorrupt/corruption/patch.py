@@ -217,8 +217,9 @@ class TopicTwist:
         turn[:, 1, 0] = np.sin(noisy_rad)
         turn[:, 0, 1], turn[:, 2, 2] = -turn[:, 1, 0], 1.0
         covariance[rows] = turn @ covariance[rows] @ turn.transpose(0, 2, 1)
-        # an error of the heading turns the velocity, whose own error counts: beside a robot that seems to stand, too
-        square = covariance[rows, :2, :2] + noisy[:, :, None] * noisy[:, None, :]
+        # an error of the heading turns the velocity, whose own error counts: of a robot that only seems to stand, too
+        faster = np.where((np.hypot(*noisy.T) < np.hypot(*odom[rows].T))[:, None], odom[rows], noisy)
+        square = covariance[rows, :2, :2] + faster[:, :, None] * faster[:, None, :]
         yaw = pose_covariance(at.sums[:, rows], np.zeros((2, len(rows))))[:, 2, 2]
         covariance[rows, :2, :2] += yaw[:, None, None] * square[:, ::-1, ::-1] * [[1.0, -1.0], [-1.0, 1.0]]
         return TwistChange(found.known, added, covariance, clean, axes)

@@ -199,15 +199,9 @@ class NoisyPath:
     """
 
     def __init__(
-        self,
-        model: MotionModel,
-        seed: int,
-        run: int = 0,
-        *,
-        normals: Any = None,
-        covariance: bool = True,
-        systematic: SystematicEffects | None = None,
-    ) -> None:
+        self, model: MotionModel, seed: int, run: int = 0, *, normals: Any = None, covariance: bool = True, systematic:
+        SystematicEffects | None = None,
+    ) -> None:  # fmt: skip
         self._noise, self._law = model.noise, model.noise.law
         self._covariance = covariance
         self._rng: Any = stream(seed, run, "noise") if normals is None else normals

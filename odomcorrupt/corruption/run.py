@@ -89,13 +89,9 @@ class TeeReader:
 
 
 def write_as_it_was(
-    bag: TeeReader | Path,
-    target: Path | None,
-    blocks: Iterable[Block],
-    watch: Callable[[Block], None],
-    *,
-    overwrite: bool = False,
-) -> None:
+    bag: TeeReader | Path, target: Path | None, blocks: Iterable[Block], watch: Callable[[Block], None], *, overwrite:
+    bool = False,
+) -> None:  # fmt: skip
     """Copy a bag byte by byte after reading its blocks (a pipe: while reading); `watch` is called with each block.
 
     bag : the file, or the stream from which the blocks are read
@@ -212,19 +208,10 @@ class Outcome:
 
 
 def corrupt_bag(
-    source: Path | None,
-    target: Path | None,
-    model: MotionModel,
-    *,
-    seed: int,
-    run: int,
-    options: Options,
-    container: Container,
-    watch: Callable[[Block], None] = lambda _: None,
-    path: PathSource | None = None,
-    metadata: Mapping[str, str] | None = None,
-    also: Sequence[str] = (),
-) -> Outcome:
+    source: Path | None, target: Path | None, model: MotionModel, *, seed: int, run: int, options: Options, container:
+    Container, watch: Callable[[Block], None] = lambda _: None, path: PathSource | None = None, metadata: Mapping[str,
+    str] | None = None, also: Sequence[str] = (),
+) -> Outcome:  # fmt: skip
     """Write a corrupted copy of a bag and return what was changed; the output appears only when complete.
 
     source, target : bags; None is a pipe

@@ -308,18 +308,9 @@ def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion
     travel = np.hypot(steps.ds_m, steps.dl_m)
     faster = accelerations(twist, dt)
     return Motion(
-        t_s=t_s[1:],
-        dt_s=dt,
-        v=twist[:, 0],
-        vy=twist[:, 1],
-        omega=twist[:, 2],
-        acceleration=faster.rate,
-        x=xyt[:-1, 0],
-        y=xyt[:-1, 1],
-        theta=xyt[:-1, 2],
-        distance=np.cumsum(travel),
-        track_m=track_m,
-    )
+        t_s=t_s[1:], dt_s=dt, v=twist[:, 0], vy=twist[:, 1], omega=twist[:, 2], acceleration=faster.rate,
+        x=xyt[:-1, 0], y=xyt[:-1, 1], theta=xyt[:-1, 2], distance=np.cumsum(travel), track_m=track_m,
+    )  # fmt: skip
 
 
 _ON, _ALL = 0.02, 0.995

@@ -78,10 +78,14 @@ def interpolate(start_xyt: Array, end_xyt: Array, fraction: Array) -> Array:
 def yaw_from_quaternion(quat_xyzw: Array) -> Array:
     """Return the yaw (...) of quaternions xyzw (..., 4) of any non-zero length, radians.
 
-    Yaw of the z-y-x Euler angles: direction of the body's x axis in the horizontal plane.
+    Yaw of the z-y-x Euler angles: direction of the body's x axis in the horizontal plane. Of an x axis within 6 degrees
+    of the vertical it is that of the z axis, forward if x points down, backward if it points up.
     """
     x, y, z, w = np.moveaxis(quat_xyzw, -1, 0)
-    return np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    across, along, down = 2.0 * (w * z + x * y), w * w + x * x - y * y - z * z, 2.0 * (w * y - x * z)
+    if (steep := down * down > 99.0 * (across * across + along * along)).any():
+        across, along = np.where(steep, (down * (y * z - w * x), down * (x * z + w * y)), (across, along))
+    return np.arctan2(across, along)
 
 
 BEARING_MIN_M = 0.05

@@ -162,7 +162,6 @@ def test_all_messages_of_the_other_parts_are_saved_and_the_loss_is_said(
     listed = described and storage != "ros1"
     assert bool(losses) == (harm != "is gone" or listed or 0 < at < parts - 1)
     assert all(loss.startswith(str(room)) for loss in losses)
-    assert all(loss.startswith(str(room)) for loss in losses)
     if storage != "ros1":
         assert info_of(out)["message_count"] == saved.total()
 
@@ -285,6 +284,38 @@ def test_parts_of_ros_1_are_one_drive(named, way, tmp_path, monkeypatch, capsys)
     assert capsys.readouterr().err == ""
     assert run(["info", *words]) == 0
     assert "ODOMETRY  /odom" in capsys.readouterr().out
+    assert run(["batch", *words, "runs", "--runs", "1", "--seed", "3"]) == 0
+    if way.startswith("files"):  # a batch of each, as always
+        assert (
+            "3 inputs, a batch of each; the parts of one recording are one: write 'in/run_" in capsys.readouterr().err
+        )
+    else:
+        assert seen(tmp_path / "runs" / "run_000000.bag") == seen(tmp_path / "out.bag")
+
+
+@pytest.mark.parametrize("at", [0, 1, 2])
+@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+def test_a_part_that_is_not_listed_is_said_and_recovered(storage, at, tmp_path, capsys):
+    files = split(tmp_path / "in", storage, 3)
+    document = YAML(typ="safe").load((tmp_path / "in" / "metadata.yaml").read_text())
+    document["rosbag2_bagfile_information"]["relative_file_paths"].remove(files[at].name)
+    dump(document, tmp_path / "in")
+    for words, done, count in (([], "left out; --recover reads", 2), (["--recover"], "read, as a part of", 3)):
+        assert run([str(tmp_path / "in"), str(tmp_path / f"out{count}"), "--seed", "3", *words]) == 0
+        said = " ".join(capsys.readouterr().err.split())
+        assert f"metadata.yaml does not list {files[at].name}: {done}" in said
+        assert seen(tmp_path / f"out{count}").total() == count * 2 * EACH
+
+
+def test_under_recover_the_summary_says_what_is_lost_of_parts_and_of_metadata(tmp_path, capsys):
+    files = split(tmp_path / "in", "mcap", 3)
+    files[2].write_bytes(b"")
+    assert run([str(tmp_path / "in"), str(tmp_path / "a"), "--seed", "3", "--recover"]) == 3
+    assert "LOST      run_2.mcap is empty" in capsys.readouterr().err
+    METADATA_DAMAGE["is cut"](tmp_path / "in" / "metadata.yaml")
+    files[2].unlink()
+    assert run([str(tmp_path / "in"), str(tmp_path / "b"), "--seed", "3", "--recover"]) == 3
+    assert "LOST      metadata.yaml cannot be read" in capsys.readouterr().err
 
 
 def test_several_inputs_that_are_no_recording_are_refused_with_the_way_out(tmp_path, monkeypatch, capsys):
@@ -330,14 +361,9 @@ def test_names_that_ros_2_forbids_are_said_and_renamed_and_distinct(tmp_path, ca
 
 
 @pytest.mark.parametrize(
-    ("rename", "words"),
-    [
-        ("/none=/a", "has no such topic"),
-        ("/text=/odom", "would both be /odom"),
-        ("/text=/1a", "no digit first"),
-        ("/text", "write OLD=NEW"),
-    ],
-)
+    ("rename", "words"), [("/none=/a", "has no such topic"), ("/text=/odom", "would both be /odom"),
+                          ("/text=/1a", "no digit first"), ("/text", "write OLD=NEW")]
+)  # fmt: skip
 def test_a_name_that_cannot_be_is_refused(rename, words, tmp_path):
     split(tmp_path / "in", "mcap", 1)
     with pytest.raises(oc.OdomCorruptError, match=words):

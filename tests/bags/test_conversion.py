@@ -194,14 +194,11 @@ def test_a_topic_to_leave_out_must_be_there(short, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("name", "words", "said"),
-    [
-        ("out.bag", ("--ros", "2"), "a ROS 1 bag holds messages of ROS 1, not of ROS 2"),
-        ("out", ("--ros", "1"), "a directory holds messages of ROS 2, not of ROS 1"),
-        ("out.mcap", ("--storage", "sqlite3"), "--storage sqlite3 is for directories"),
-        ("out.bag", ("--compression", "message"), "compression message: is not available for a ROS 1 bag"),
-    ],
-)
+    ("name", "words", "said"), [("out.bag", ("--ros", "2"), "a ROS 1 bag holds messages of ROS 1, not of ROS 2"),
+    ("out", ("--ros", "1"), "a directory holds messages of ROS 2, not of ROS 1"),
+    ("out.mcap", ("--storage", "sqlite3"), "--storage sqlite3 is for directories"),
+    ("out.bag", ("--compression", "message"), "compression message: is not available for a ROS 1 bag")]
+)  # fmt: skip
 def test_what_a_format_cannot_have_is_refused(short, name, words, said, tmp_path, capsys):
     assert run([str(short[1]), str(tmp_path / name), *words, *NOISE]) == 1
     assert said in capsys.readouterr().err
@@ -261,19 +258,16 @@ def test_fields_that_the_other_ros_does_not_have_are_lost_and_named():
 
 
 @pytest.mark.parametrize(
-    ("msgtype", "text", "said"),
-    [
-        ("a_msgs/msg/A", "a_msgs/B b\n", "its definition lacks that of a_msgs/msg/B"),
-        ("a_msgs/msg/A", "a_msgs/A a\n", "a_msgs/msg/A contains itself"),
-        ("a_msgs/msg/A", "std_msgs/Empty[1000000000] a\n", "arrays of fixed length are too long"),
-        ("a_msgs/msg/A", "string[1000000000] a\n", "arrays of fixed length are too long"),
-        ("a_msgs/msg/A\nimport os", "int8 a\n", "is not a message type"),
-        ("a_msgs/msg/A", "wstring a\n", "lacks that of a_msgs/msg/wstring"),
-        ("a_msgs/msg/A", "int8 a\n" * 200_000, "characters, which no recorder writes"),
-        ("a_msgs/action/A", "int8 a\n", "services and actions have no counterpart"),
-        ("a_msgs/msg/A", "nonsense ===\n", "Could not parse"),
-    ],
-)
+    ("msgtype", "text", "said"), [("a_msgs/msg/A", "a_msgs/B b\n", "its definition lacks that of a_msgs/msg/B"),
+    ("a_msgs/msg/A", "a_msgs/A a\n", "a_msgs/msg/A contains itself"),
+    ("a_msgs/msg/A", "std_msgs/Empty[1000000000] a\n", "arrays of fixed length are too long"),
+    ("a_msgs/msg/A", "string[1000000000] a\n", "arrays of fixed length are too long"),
+    ("a_msgs/msg/A\nimport os", "int8 a\n", "is not a message type"),
+    ("a_msgs/msg/A", "wstring a\n", "lacks that of a_msgs/msg/wstring"),
+    ("a_msgs/msg/A", "int8 a\n" * 200_000, "characters, which no recorder writes"),
+    ("a_msgs/action/A", "int8 a\n", "services and actions have no counterpart"),
+    ("a_msgs/msg/A", "nonsense ===\n", "Could not parse")]
+)  # fmt: skip
 def test_a_definition_that_cannot_be_used_is_refused_quickly(msgtype, text, said):
     with pytest.raises(BagError, match=said.replace("[", r"\[")) as caught:
         convert_type(msgtype, Definition(msgtype, "ros2msg", text.encode(), {}), 1)

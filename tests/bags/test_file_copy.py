@@ -176,14 +176,10 @@ def corrupt_database(source, target, threads, **options):
 
 
 @pytest.mark.parametrize(
-    ("source", "held", "options", "slow"),
-    [
-        (OFFICE, 0, {}, True),
-        (OFFICE, 16 << 20, {"keep_truth": "/odom_true"}, True),
-        (OFFICE_DB, 0, {"keep_truth": "/odom_true"}, False),
-        (OFFICE_DB, 16 << 20, {}, False),
-    ],
-)
+    ("source", "held", "options", "slow"), [(OFFICE, 0, {}, True),
+    (OFFICE, 16 << 20, {"keep_truth": "/odom_true"}, True), (OFFICE_DB, 0, {"keep_truth": "/odom_true"}, False),
+    (OFFICE_DB, 16 << 20, {}, False)]
+)  # fmt: skip
 def test_the_thread_changes_no_byte(source, held, options, slow, tmp_path, monkeypatch):
     monkeypatch.setattr(sqlite_writer, "_HELD_BYTES", held)
     one = corrupt_database(source, tmp_path / f"one{source.suffix}", 1, **options)

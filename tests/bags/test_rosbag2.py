@@ -247,15 +247,10 @@ def test_all_versions_of_the_tables_are_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "not a rosbag2 metadata.yaml"),
-        ("a: [", "cannot be read"),
-        ("rosbag2_bagfile_information:\n  relative_file_paths: [gone.db3]\n", "gone.db3"),
-        ("rosbag2_bagfile_information:\n  relative_file_paths: []\n", "no file"),
-        (None, "without a bag"),
-    ],
-)
+    ("text", "words"), [("", "not a rosbag2 metadata.yaml"), ("a: [", "cannot be read"),
+    ("rosbag2_bagfile_information:\n  relative_file_paths: [gone.db3]\n", "gone.db3"),
+    ("rosbag2_bagfile_information:\n  relative_file_paths: []\n", "no file"), (None, "without a bag")]
+)  # fmt: skip
 def test_a_bad_metadata_file_is_an_error_that_names_it(tmp_path, text, words):
     (tmp_path / "in").mkdir()
     if text is not None:

@@ -98,14 +98,10 @@ BROKEN = b"float64 x\n" * 500 + b"\xff"
 
 @pytest.mark.parametrize("recovering", [False, True])
 @pytest.mark.parametrize(
-    "change",
-    [
-        "ALTER TABLE messages RENAME COLUMN topic_id TO topic_ie",
-        "ALTER TABLE messages RENAME COLUMN data TO date",
-        "ALTER TABLE topics RENAME COLUMN type TO tipe",
-        "ALTER TABLE messages RENAME TO mesages",
-    ],
-)
+    "change", ["ALTER TABLE messages RENAME COLUMN topic_id TO topic_ie",
+    "ALTER TABLE messages RENAME COLUMN data TO date", "ALTER TABLE topics RENAME COLUMN type TO tipe",
+    "ALTER TABLE messages RENAME TO mesages"]
+)  # fmt: skip
 def test_a_name_that_is_damaged_is_reported_in_a_line_that_advises_nothing(change, recovering, tmp_path):
     path = changed(tmp_path, change)
     with pytest.raises(BagError) as caught:

@@ -44,20 +44,14 @@ def test_effects_of_single_wheels_take_the_track_from_the_command_line_or_the_fi
 
 
 @pytest.mark.parametrize(
-    ("args", "sentence"),
-    [
-        (("--track", "0"), "0; write metres between the wheels, more than 0"),
-        (
-            ("--alpha", "5deg", "10deg/m", "5deg", "0.1"),
-            "trans_trans: 5deg is an angle, but this coefficient is in metres",
-        ),
-        (("--alpha", "5deg/m", "0", "0", "0"), "rot_rot: 5deg/m; this coefficient is per rad, not per m"),
-        (("--alpha", "0", "5deg/rad", "0", "0"), "rot_trans: 5deg/rad; this coefficient is per m, not per rad"),
-        (("--alpha", "0.1/m", "0", "0", "0"), "rot_rot: 0.1/m; this coefficient is per rad"),
-        (("--alpha", "5deg", "0", "0", "0", "--law", "quadratic"), "alphas of the law quadratic scale variances"),
-        (("--alpha", "0", "0", "0", "1deg", "--law", "omni"), "alphas of the law omni scale variances"),
-    ],
-)
+    ("args", "sentence"), [(("--track", "0"), "0; write metres between the wheels, more than 0"),
+    (("--alpha", "5deg", "10deg/m", "5deg", "0.1"), "trans_trans: 5deg is an angle, but this coefficient is in metres"),
+    (("--alpha", "5deg/m", "0", "0", "0"), "rot_rot: 5deg/m; this coefficient is per rad, not per m"),
+    (("--alpha", "0", "5deg/rad", "0", "0"), "rot_trans: 5deg/rad; this coefficient is per m, not per rad"),
+    (("--alpha", "0.1/m", "0", "0", "0"), "rot_rot: 0.1/m; this coefficient is per rad"),
+    (("--alpha", "5deg", "0", "0", "0", "--law", "quadratic"), "alphas of the law quadratic scale variances"),
+    (("--alpha", "0", "0", "0", "1deg", "--law", "omni"), "alphas of the law omni scale variances")]
+)  # fmt: skip
 def test_a_unit_that_a_coefficient_cannot_have_is_refused(corrupt, args, sentence):
     code, said, target = corrupt(*args)
     assert (code, target.exists()) == (2, False)
@@ -66,13 +60,11 @@ def test_a_unit_that_a_coefficient_cannot_have_is_refused(corrupt, args, sentenc
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [
-        ("--alpha 5deg 10deg/m 0.05 0.01", "rot_rot 0.08727 rot_trans 0.1745 trans_trans 0.05 trans_rot 0.01"),
-        ("--alpha 5deg/rad 10deg 0.05/m 0.01/rad", "rot_rot 0.08727 rot_trans 0.1745 trans_trans 0.05 trans_rot 0.01"),
-        ("--alpha 0.1rad 0.2rad/m 0 0", "rot_rot 0.1 rot_trans 0.2 trans_trans 0 trans_rot 0"),
-        ("--keep-truth /odom_true", "3000 messages of clean odometry on /odom_true added"),
-    ],
-)
+    [("--alpha 5deg 10deg/m 0.05 0.01", "rot_rot 0.08727 rot_trans 0.1745 trans_trans 0.05 trans_rot 0.01"),
+    ("--alpha 5deg/rad 10deg 0.05/m 0.01/rad", "rot_rot 0.08727 rot_trans 0.1745 trans_trans 0.05 trans_rot 0.01"),
+    ("--alpha 0.1rad 0.2rad/m 0 0", "rot_rot 0.1 rot_trans 0.2 trans_trans 0 trans_rot 0"),
+    ("--keep-truth /odom_true", "3000 messages of clean odometry on /odom_true added")]
+)  # fmt: skip
 def test_degrees_what_they_are_caused_by_and_messages_that_were_added_are_said(corrupt, words, said):
     code, summary, _ = corrupt(*words.split())
     assert code == 0

@@ -65,12 +65,9 @@ class Runaway(Effect):
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
-    "effects",
-    [
-        (effect_from_values("side_slip", {"k": 0.5}), Runaway(-40.0)),
-        (user_effect("stuck", "along += -3 * v * k * max(abs(v) - 0.1, 0)", {"k": 1.0}),),
-    ],
-)
+    "effects", [(effect_from_values("side_slip", {"k": 0.5}), Runaway(-40.0)),
+    (user_effect("stuck", "along += -3 * v * k * max(abs(v) - 0.1, 0)", {"k": 1.0}),)]
+)  # fmt: skip
 def test_effects_that_no_odometry_obeys_are_called_too_strong(effects):
     with pytest.raises(EffectError, match=r"too strong.*weaker"):
         NoisyPath(silent(effects), 1).feed(*office(10.0, 10.0))

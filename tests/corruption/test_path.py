@@ -187,21 +187,14 @@ def test_headings_may_wrap():
 
 
 @pytest.mark.parametrize(
-    ("chosen", "drive", "places"),
-    [
-        (model(), office(10.0, 40.0), [40, 130, 200, 400]),
-        (
-            model("linear", Coefficients(0.02, 0.04, 0.02, 0.01), "0.25m,0.2rad"),
-            office(10.0, 40.0),
-            [40, 130, 200, 400],
-        ),
-        (model("quadratic", Coefficients(0.01, 0.01, 0.01, 0.01)), office(10.0, 40.0), [40, 130, 200, 400]),
-        (model(coefficients=Coefficients(0.05, 0.02, 0.05, 0.01, across_trans=0.04)), office(10.0, 20.0), [200]),
-        (model("velocity", Coefficients(0.005, 0.005, 0.01, 0.005, 0.0, 0.004, 0.01)), office(4.0, 40.0), [160]),
-        (model("omni", Coefficients(0.005, 0.005, 0.01, 0.005, 0.02)), strafing(), [80]),
-    ],
-    ids=["diffusion", "linear", "quadratic", "sideways", "velocity", "omni"],
-)
+    ("chosen", "drive", "places"), [(model(), office(10.0, 40.0), [40, 130, 200, 400]),
+    (model("linear", Coefficients(0.02, 0.04, 0.02, 0.01), "0.25m,0.2rad"), office(10.0, 40.0), [40, 130, 200, 400]),
+    (model("quadratic", Coefficients(0.01, 0.01, 0.01, 0.01)), office(10.0, 40.0), [40, 130, 200, 400]),
+    (model(coefficients=Coefficients(0.05, 0.02, 0.05, 0.01, across_trans=0.04)), office(10.0, 20.0), [200]),
+    (model("velocity", Coefficients(0.005, 0.005, 0.01, 0.005, 0.0, 0.004, 0.01)), office(4.0, 40.0), [160]),
+    (model("omni", Coefficients(0.005, 0.005, 0.01, 0.005, 0.02)), strafing(), [80])], ids=["diffusion", "linear",
+    "quadratic", "sideways", "velocity", "omni"]
+)  # fmt: skip
 def test_covariance_is_calibrated_while_headings_are_well_known(chosen, drive, places):
     """NEES of many runs is the number of dimensions, at several places of the path."""
     runs = 600

@@ -127,17 +127,10 @@ def test_the_summary_counts_stamps_of_zero_and_messages_put_in_order_and_names_t
 
 @pytest.mark.parametrize(
     ("law", "sideways_m", "said"),
-    [
-        (
-            "linear",
-            4.0,
-            "The robot moves sideways (4 m of 10 m), which the law linear does not model; --law omni does.",
-        ),
-        ("linear", 0.5, ""),
-        ("omni", 4.0, ""),
-        ("omni", 0.0, "The law omni is for robots that move sideways, but this one does not; leave --law out."),
-    ],
-)
+    [("linear", 4.0, "The robot moves sideways (4 m of 10 m), which the law linear does not model; --law omni does."),
+    ("linear", 0.5, ""), ("omni", 4.0, ""),
+    ("omni", 0.0, "The law omni is for robots that move sideways, but this one does not; leave --law out.")]
+)  # fmt: skip
 def test_a_law_that_does_not_fit_the_robot_is_warned_of(law, sideways_m, said):
     assert " ".join(holonomic_words(model(law), sideways_m, 10.0)) == said
 

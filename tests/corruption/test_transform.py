@@ -232,13 +232,9 @@ COVARIANCES = ("pose_covariance", "twist_covariance")
 
 
 @pytest.mark.parametrize(
-    ("chosen", "options", "names"),
-    [
-        (silent(EFFECTS), {}, COVARIANCES),
-        (model(), {"keep_covariance": True}, COVARIANCES),
-        (model(), {"keep_twist": True}, ("twist",)),
-    ],
-)
+    ("chosen", "options", "names"), [(silent(EFFECTS), {}, COVARIANCES),
+    (model(), {"keep_covariance": True}, COVARIANCES), (model(), {"keep_twist": True}, ("twist",))]
+)  # fmt: skip
 def test_twists_and_covariances_stay_on_request_and_covariances_where_no_noise_is_drawn(chosen, options, names):
     before = blocks_of(robot(*DRIVE))
     out, _ = run(robot(*DRIVE), chosen, **options)
@@ -335,16 +331,13 @@ def test_clock_effects_shift_stamps_of_odometry_and_its_edges_and_nothing_else()
 
 @pytest.mark.parametrize(
     ("channels", "options", "sentence"),
-    [
-        ({IMU.id: IMU}, {}, r"test.mcap: no nav_msgs/Odometry topic \(found /imu\)"),
-        ({}, {}, "found no topic at all"),
-        (MORE, {}, r"2 nav_msgs/Odometry topics \(/filtered, /odom\).*odom_topic"),
-        (MORE, {"odom_topic": "/odometry"}, "no topic /odometry .nav_msgs/Odometry is on /filtered, /odom, /truth"),
-        (MORE, {"odom_topic": "imu"}, "imu is sensor_msgs/msg/Imu in cdr"),
-        (CHANNELS | {9: Channel(9, "/odom2", "nav_msgs/msg/Odometry", "json")}, {"odom_topic": "odom2"}, "in json"),
-        (CHANNELS, {}, "/odom has no message"),
-    ],
-)
+    [({IMU.id: IMU}, {}, r"test.mcap: no nav_msgs/Odometry topic \(found /imu\)"),
+    ({}, {}, "found no topic at all"), (MORE, {}, r"2 nav_msgs/Odometry topics \(/filtered, /odom\).*odom_topic"),
+    (MORE, {"odom_topic": "/odometry"}, "no topic /odometry .nav_msgs/Odometry is on /filtered, /odom, /truth"),
+    (MORE, {"odom_topic": "imu"}, "imu is sensor_msgs/msg/Imu in cdr"),
+    (CHANNELS | {9: Channel(9, "/odom2", "nav_msgs/msg/Odometry", "json")}, {"odom_topic": "odom2"}, "in json"),
+    (CHANNELS, {}, "/odom has no message")]
+)  # fmt: skip
 def test_what_cannot_drive_the_model_is_said_with_the_way_out(channels, options, sentence):
     with pytest.raises(TopicError, match=sentence):
         run([], channels=channels, **options)

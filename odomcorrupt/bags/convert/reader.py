@@ -97,15 +97,9 @@ class ConvertedReader(RewrittenReader):
     """
 
     def __init__(
-        self,
-        reader: BagReader,
-        ros: Generation | None,
-        *,
-        strict: bool = False,
-        exclude: Sequence[str] = (),
-        rename: Sequence[str] = (),
-        recover: bool = False,
-    ) -> None:
+        self, reader: BagReader, ros: Generation | None, *, strict: bool = False, exclude: Sequence[str] = (), rename:
+        Sequence[str] = (), recover: bool = False,
+    ) -> None:  # fmt: skip
         ros1 = ros == 1 or (ros is None and all(one.encoding == "ros1" for one in reader.channels.values()))
         super().__init__(reader, "ros1" if ros1 else "sqlite3", recover=recover)
         self._ros = ros

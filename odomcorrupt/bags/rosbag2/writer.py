@@ -42,17 +42,9 @@ class Rosbag2Writer:
     """
 
     def __init__(
-        self,
-        path: Path,
-        reader: BagReader,
-        codec: str | None = None,
-        level: int | None = None,
-        *,
-        kind: Kind | None = None,
-        mode: Mode | None = None,
-        overwrite: bool = False,
-        workers: Workers | None = None,
-    ) -> None:
+        self, path: Path, reader: BagReader, codec: str | None = None, level: int | None = None, *, kind: Kind | None =
+        None, mode: Mode | None = None, overwrite: bool = False, workers: Workers | None = None,
+    ) -> None:  # fmt: skip
         self._workers = workers
         self._kind: Kind = reader.kind if kind is None else kind
         self._path = Path(os.path.realpath(path))
