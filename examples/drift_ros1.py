@@ -28,6 +28,7 @@ def main() -> None:
             edge = TransformStamped(header=message.header, child_frame_id=message.child_frame_id)
             edge.transform.translation.x = message.pose.pose.position.x
             edge.transform.translation.y = message.pose.pose.position.y
+            edge.transform.translation.z = message.pose.pose.position.z
             edge.transform.rotation = message.pose.pose.orientation
             edges.publish(TFMessage([edge]))
 

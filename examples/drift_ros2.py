@@ -36,6 +36,7 @@ class DriftNode(Node):
             edge = TransformStamped(header=message.header, child_frame_id=message.child_frame_id)
             edge.transform.translation.x = message.pose.pose.position.x
             edge.transform.translation.y = message.pose.pose.position.y
+            edge.transform.translation.z = message.pose.pose.position.z
             edge.transform.rotation = message.pose.pose.orientation
             self.tf.sendTransform(edge)
 

@@ -78,7 +78,6 @@ def check_effect(effect_class: type[Effect]) -> None:
         If it does not; the message names the violation.
     """
     _check_facts(effect_class)
-    still = effect_class()
     for sample in _samples(effect_class):
         _check_numbers(sample)
         _check_cuts(sample)
@@ -91,9 +90,9 @@ def check_effect(effect_class: type[Effect]) -> None:
             _check_without_draws(sample)
             if not sample.clock:
                 _check_round_trip(sample)
-    _check_identity(still)
+    _check_identity(effect_class())
     if effect_class.odd:
-        _check_odd(still)
+        _check_odd(effect_class())
 
 
 def _require(promise: object, effect: Effect | type[Effect], what: str) -> None:

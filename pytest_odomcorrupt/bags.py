@@ -43,8 +43,8 @@ class CorruptedBag:
 
     @property
     def name(self) -> str:
-        """What a baseline calls the run."""
-        return f"seed {self.seed} run {self.run}"
+        """What a baseline and a failing gate call the run: run, seed and file."""
+        return f"run {self.run}, seed {self.seed}, {self.path.name}"
 
     def errors(
         self,

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.result_files import write_text
-from odomcorrupt.scoring.gate import STATISTICS, Comparison, compare_paired, paired_sentence, worst_of
+from odomcorrupt.scoring.gate import STATISTICS, Comparison, compare_paired, paired_sentence, quantity, worst_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -39,14 +40,15 @@ class ErrorGate:
         statistic: str = "p90",
         most: float | None = None,
         crashes: int = 0,
+        unit: str = "m",
     ) -> Comparison | None:
         """Assert that errors have not risen.
 
         Parameters
         ----------
         errors
-            One number of at least 0 for each run, by its name (`CorruptedBag.name`), metres if `rise` is of an ATE;
-            infinity for a run without a result.
+            One number of at least 0 for each run, by its name (`CorruptedBag.name`); infinity for a run without a
+            result.
         rise
             Rise to find: 0.2 is 20 %. 40 runs find it in 95 of 100 cases where the errors of a run scatter by up to a
             fifth from version to version; in 1 of 100 cases the gate fails where nothing has changed.
@@ -56,6 +58,8 @@ class ErrorGate:
             Upper bound of the statistic, regardless of the baseline.
         crashes
             Number of runs that may have no result although they have one in the baseline.
+        unit
+            Unit of the errors, for messages: "m", "rad" (shown as degrees), or "" for none.
 
         Returns
         -------
@@ -72,9 +76,11 @@ class ErrorGate:
         _require(not wrong, f"errors must be numbers of at least 0: {dict(list(wrong.items())[:3])}")
         _require(statistic in STATISTICS, f"statistic {statistic!r}: there are {', '.join(STATISTICS)}")
         value = float(STATISTICS[statistic](np.array(list(errors.values()))))
-        above = f"the {statistic} of {len(errors)} errors is {value:.4g}, more than {most}"
+        metric = f"errors_{unit}" if unit else "errors"
+        shown = partial(quantity, metric)
+        above = f"the {statistic} of {len(errors)} errors is {shown(value)}, more than {shown(most or 0.0)}"
         worst = sorted(errors.items(), key=lambda one: -one[1])[:5]
-        _require(most is None or value <= most, "\n".join([above, *(f"  {n}: {e:.4g}" for n, e in worst)]))
+        _require(most is None or value <= most, "\n".join([above, *(f"  {n}: {shown(e)}" for n, e in worst)]))
         if self.update:
             table = {"schema": SCHEMA, "errors": {name: float(error) for name, error in errors.items()}}
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -85,14 +91,16 @@ class ErrorGate:
         _require(bool(common), f"{self.path}: has none of these runs; write it again with --odomcorrupt-update")
         crashed = [name for name in common if np.isinf(errors[name]) and np.isfinite(before[name])]
         said = f"{len(crashed)} of {len(common)} runs have no result that had one ({crashes} allowed)"
-        _require(len(crashed) <= crashes, "\n".join([said, *(f"  {n}: {before[n]:.4g} -> no result" for n in crashed)]))
+        _require(
+            len(crashed) <= crashes, "\n".join([said, *(f"  {n}: {shown(before[n])} -> no result" for n in crashed)])
+        )
         old, new = (np.array([table[name] for name in common]) for table in (before, errors))
         try:
             found = compare_paired(old, new, rise=rise, statistic=statistic)
         except OdomCorruptError as error:
             raise AssertionError(f"{self.path}: {error}") from None
-        said = f"the {paired_sentence(found, 'errors', statistic, old, new)}"
-        rows = [f"  {common[i]}: {old[i]:.4g} -> {new[i]:.4g}" for i in worst_of(old, new)]
+        said = f"the {paired_sentence(found, metric, statistic, old, new)}"
+        rows = [f"  {common[i]}: {shown(old[i])} -> {shown(new[i])}" for i in worst_of(old, new)]
         _require(not found.rise, "\n".join([said, *rows, "If that is intended, accept it with --odomcorrupt-update."]))
         return found
 

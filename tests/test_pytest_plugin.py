@@ -28,7 +28,7 @@ def test_bags_are_made_once_and_by_content(cache, tmp_path):
     again = corrupted(tmp_path / "office.mcap", "typical", runs=3, seed=7, cache=cache)
     assert [bag.path for bag in again][:2] == [bag.path for bag in first]
     assert [bag.path.stat().st_mtime_ns for bag in again][:2] == made
-    assert [bag.run for bag in again] == [0, 1, 2]
+    assert [bag.name for bag in again] == [f"run {k}, seed 7, run_00000{k}.mcap" for k in range(3)]
     other = corrupted(OFFICE, "article", runs=1, seed=7, cache=cache)
     assert other[0].path.parent != first[0].path.parent
 
@@ -51,7 +51,7 @@ def test_what_cannot_be_made_is_said(cache):
 def errors_of(scale, seed=1):
     rng = np.random.default_rng(seed)
     level = np.exp(0.5 * np.random.default_rng(0).standard_normal(40))
-    return {f"seed 7 run {i}": float(scale * v * np.exp(0.1 * rng.standard_normal())) for i, v in enumerate(level)}
+    return {f"run {i}, seed 7": float(scale * v * np.exp(0.1 * rng.standard_normal())) for i, v in enumerate(level)}
 
 
 def test_the_gate_asserts_against_the_baseline_that_it_wrote(tmp_path):
@@ -59,10 +59,13 @@ def test_the_gate_asserts_against_the_baseline_that_it_wrote(tmp_path):
     assert ErrorGate(path, update=True)(errors_of(0.1)) is None
     gate = ErrorGate(path, update=False)
     assert gate(errors_of(0.1, seed=2)).ratio == pytest.approx(1.0, abs=0.1)
-    with pytest.raises(AssertionError, match=r"(?s)the p90 of errors: .* -> .*seed 7 run .*--odomcorrupt-update"):
+    with pytest.raises(
+        AssertionError,
+        match=r"(?s)the p90 of errors: .* m -> .* m .*run \d+, seed 7.*: .* m -> .* m\n.*--odomcorrupt-update",
+    ):
         gate(errors_of(0.13, seed=2))
-    crashed = errors_of(0.1, seed=2) | {"seed 7 run 3": float("inf")}
-    with pytest.raises(AssertionError, match=r"1 of 40 runs have no result that had one .*\n  seed 7 run 3: "):
+    crashed = errors_of(0.1, seed=2) | {"run 3, seed 7": float("inf")}
+    with pytest.raises(AssertionError, match=r"1 of 40 runs have no result that had one .*\n  run 3, seed 7: "):
         gate(crashed)
     assert gate(crashed, crashes=1).ratio == pytest.approx(1.0, abs=0.1)
     with pytest.raises(AssertionError, match=r"more than 0\.1"):
@@ -78,8 +81,8 @@ def test_a_failing_gate_shows_its_lines_and_no_source_of_the_plugin(tmp_path):
     words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_it.py"]
     said = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert said.returncode == 1
-    assert "AssertionError: the median of 10 errors is 5.5, more than 2.0" in said.stdout
-    assert "run 9: inf" in said.stdout
+    assert "AssertionError: the median of 10 errors is 5.5 m, more than 2 m" in said.stdout
+    assert "run 9: infinite" in said.stdout
     assert "pytest_odomcorrupt/" not in said.stdout
     assert "_require" not in said.stdout
 
@@ -92,7 +95,7 @@ def test_the_gate_says_what_it_lacks(tmp_path):
     with pytest.raises(AssertionError, match="is not a baseline"):
         gate(errors_of(0.1))
     with pytest.raises(AssertionError, match="numbers of at least 0"):
-        gate({"seed 7 run 0": float("nan")})
+        gate({"run 0, seed 7": float("nan")})
 
 
 @pytest.mark.slow

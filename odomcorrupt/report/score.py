@@ -195,7 +195,7 @@ def sentences(report: ScoreReport) -> list[str]:
     lines = [f"{report.failed} of {len(report.runs)} runs failed{_kinds(report)}."]
     without = sum(not run.scored for run in report.runs)
     if without:
-        lines.append(f"Errors of the {without} runs without a complete output count as infinite.")
+        lines.append(f"Errors of runs without a complete output, {without}, count as infinite.")
     if report.identical:
         lines.append("The estimates are identical in all runs: your localisation was not run again.")
     lines.append(_breakdown_sentence(report))

@@ -266,8 +266,7 @@ def check(
     Raises
     ------
     ScoreError
-        If a rule is invalid, a rise has no baseline, the two were scored differently, or they have too few runs with
-        equal seeds.
+        If a rule is invalid, a rise has no baseline, or the two were scored differently or have no run in common.
     """
     parsed = [parse_rule(text) for text in rules]
     own = _by_pair(report)
@@ -278,9 +277,7 @@ def check(
         _require_alike(report, earlier)
         pairs = [(before[key], own[key]) for key in own if key in before]
         if not pairs:
-            raise ScoreError(
-                "the baseline has no run in common with these (same name and seed); use the seed it was made with"
-            )
+            raise ScoreError("the baseline has no run in common with these (same name and seed); use its --seed")
     verdicts = [_verdict(rule, own, pairs) for rule in parsed]
     if parsed and report.get("identical"):
         said = "identical: FAILED. The estimates are identical in all runs: your localisation was not run again"
@@ -318,7 +315,10 @@ def _verdict(rule: Rule, runs: Mapping[Any, Mapping[str, Any]], pairs: Sequence[
     both = [(_error(old, rule.metric), _error(new, rule.metric)) for old, new in pairs]
     known = [i for i, pair in enumerate(both) if None not in pair]
     values = np.array([both[i] for i in known], dtype=float).reshape(-1, 2).T
-    found = compare_paired(*values, rise=rule.amount, statistic=rule.statistic)
+    try:
+        found = compare_paired(*values, rise=rule.amount, statistic=rule.statistic)
+    except ScoreError as error:  # too few pairs: the scores and the reports for CI are there nevertheless
+        return Verdict(rule.text, failed=True, sentence=f"{_outcome(rule, failed=True)} {error}")
     sentence = f"{_outcome(rule, failed=found.rise)} {paired_sentence(found, rule.metric, rule.statistic, *values)}"
     scatter = [old["mad"][rule.metric] for old, _ in pairs if rule.metric in old.get("mad", ())]
     if any(scatter):
@@ -326,8 +326,7 @@ def _verdict(rule: Rule, runs: Mapping[Any, Mapping[str, Any]], pairs: Sequence[
     if without := len(pairs) - len(known):
         sentence += f"; {without} pairs without {rule.metric} left out"
     if not found.rise and found.detectable > rule.amount:
-        least = f"{100.0 * found.detectable:.0f} %"
-        sentence += f"; with so few pairs that scatter so much only a rise of {least} is found reliably"
+        sentence += f"; pairs so few that scatter so much show only a rise of {100.0 * found.detectable:.0f} % reliably"
     order = [known[i] for i in worst_of(*values)] if found.rise else []
     named = [_named(*pairs[i], *(quantity(rule.metric, value or 0.0) for value in both[i])) for i in order]
     return Verdict(rule.text, found.rise, sentence, found, tuple(named))

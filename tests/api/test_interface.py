@@ -212,9 +212,7 @@ def test_a_preview_has_the_runs_that_corruption_makes(walled, tmp_path):
     assert (ahead.to_dict()["rows"] != free.to_dict()["rows"]) == walled
 
 
-@pytest.mark.parametrize(
-    "call", [lambda *bag, **more: oc.preview(*bag, runs=2, **more), oc.info], ids=["preview", "info"]
-)
+@pytest.mark.parametrize("call", [lambda *bag, **more: oc.preview(*bag, runs=2, **more), oc.info])
 def test_damaged_bags_are_read_on_request_and_blocks_can_be_watched(call, tmp_path):
     (tmp_path / "cut.mcap").write_bytes(OFFICE.read_bytes()[:200_000])
     with pytest.raises(OdomCorruptError, match="recover=True"):

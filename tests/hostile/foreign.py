@@ -168,8 +168,11 @@ def asked(reader: Reader, output: Output) -> str:
     return "; ".join(wrong)
 
 
-def heard(bag: Path, *listeners: list[str]) -> list[Any] | None:
-    """Play a bag to a real roscore; return what `readers/listener.py` says with each words, None without ROS."""
+def heard(bag: Path, *listeners: list[str], beside: list[str] | None = None) -> list[Any] | None:
+    """Play a bag to a real roscore; return what `readers/listener.py` says with each words, None without ROS.
+
+    beside : words of a program that runs meanwhile
+    """
     if not all(shutil.which(name, path="/usr/bin") for name in ("roscore", "rosbag", "rosmaster")):
         return None
     with socket.socket() as one:
@@ -184,14 +187,16 @@ def heard(bag: Path, *listeners: list[str]) -> list[Any] | None:
         core = subprocess.Popen(["/usr/bin/rosmaster", "--core", "-p", str(port)], **quiet)  # type: ignore[call-overload]
         try:
             time.sleep(2)
+            other = subprocess.Popen(beside or ["true"], env=env)
             command = [DEBIAN, str(PROGRAMS / "listener.py")]
             nodes = [subprocess.Popen([*command, *words], stdout=subprocess.PIPE, env=env) for words in listeners]
             time.sleep(2)
             subprocess.run(["/usr/bin/rosbag", "play", "-q", "-d", "2", str(bag)], check=True, **quiet)  # type: ignore[call-overload]
             return [json.loads(node.communicate(timeout=30)[0]) for node in nodes]
         finally:
-            core.terminate()
-            core.wait()
+            for process in (other, core):
+                process.terminate()
+                process.wait()
 
 
 def played(output: Output) -> str:
