@@ -307,9 +307,7 @@ def test_a_terminal_is_not_fed_with_bytes(monkeypatch, capsys):
 
 @pytest.mark.parametrize("kind", ["truncated.mcap", "truncated.bag"])
 def test_what_is_whole_of_a_damaged_bag_is_recovered_with_exit_code_three(corrupt, tmp_path, kind):
-    code, said, target = corrupt(
-        "--seed", "1", "--recover", source=str(broken(tmp_path, kind)), name=f"out.{kind[-4:]}"
-    )
+    code, said, target = corrupt("--seed", "1", "--recover", source=str(broken(tmp_path, kind)), name=f"o.{kind[-4:]}")
     assert code == 3
     assert said.startswith("Moved: ")
     assert "Lost: " in said

@@ -254,9 +254,8 @@ def test_messages_of_equal_length_with_different_strings_have_layouts_of_their_o
     rng = np.random.default_rng(3)
     name = "nav_msgs/msg/Odometry"
     frames = [("odom", "base_link", 0), ("odomm", "base_lin", 1)]
-    messages = [
-        serialise("ros1", build(ROS1, name, rng, frame_id=f, child_frame_id=c), name) for f, c, _ in frames * 10
-    ]
+    built = [build(ROS1, name, rng, frame_id=f, child_frame_id=c) for f, c, _ in frames * 10]
+    messages = [serialise("ros1", one, name) for one in built]
     assert len({len(m) for m in messages}) == 1
     layouts = locate(block_of(messages), Channel(0, "/odom", name, "ros1"))
     assert [layout.rows.tolist() for layout in layouts] == [list(range(0, 20, 2)), list(range(1, 20, 2))]

@@ -94,16 +94,21 @@ def test_parameters_stand_without_their_derivation_unless_it_is_asked_for(target
         ("sample -n 50 --seed 2", "density -n 50 --seed 2 --plot density.png"),
         ("integrate in.mcap --twist-noise 0.2 0.04 --seed 1 --runs 3", "--plot errors.png"),
         ("learn mystery.mcap -o robot.toml", "export robot.toml --to ros2_control"),
+        ("diagnose mystery.mcap", "sim.bag noisy.bag --model robot.toml"),
+        ("batch in.mcap runs --runs 2 --seed 1; score runs --estimate /odom --align origin", "--report page.html"),
+        ("map in.mcap --resolution 0.2 --seed 1", "-o map.png"),
+        ("effects wheelbase; convert-alpha 0.2 0.1 0.2 0.2 --from quadratic --step 0.25m --to diffusion", "e=0.015"),
     ],
 )
 def test_each_suggested_command_runs_and_those_that_it_suggests(typed, last, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    for name, fixture in (("in.mcap", "office.mcap"), ("sim.bag", "office.bag"), ("mystery.mcap", "mystery.mcap")):
-        shutil.copy(FIXTURES / fixture, name)
-    todo, done = [typed], {}
+    for name in ("in.mcap", "in.bag", "sim.bag"):
+        shutil.copy(FIXTURES / f"office{Path(name).suffix}", name)
+    shutil.copy(FIXTURES / "mystery.mcap", ".")
+    todo, done = typed.split("; "), {}
     for line in todo:
         words = shlex.split(line)
-        kind = (words[0], "--plot" in words, "-o" in words)
+        kind = (words[0], *(option in words for option in ("--plot", "-o", "--report")))
         if kind not in done:
             done[kind] = line
             assert run(words) == 0, done

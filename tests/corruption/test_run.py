@@ -91,9 +91,7 @@ def test_model_seed_and_run_are_stored_in_an_mcap(tmp_path):
 
 
 def test_the_summary_tells_counts_drift_and_oddities(tmp_path):
-    outcome = corrupt(
-        FIXTURES / "office.mcap", tmp_path / "out.mcap", model("linear", Coefficients(0.1, 0.1, 0.1, 0.1))
-    )
+    outcome = corrupt(FIXTURES / "office.mcap", tmp_path / "out.mcap", model("linear", Coefficients(*[0.1] * 4)))
     text = summary(outcome, "typed")
     assert "3000 messages on /odom, 3000 transforms odom -> base_link, computed from the poses of /odom" in text
     assert "/odom (25.05 m in 59.98 s)" in text

@@ -13,9 +13,7 @@ from odomcorrupt.effects.expression import parse_expression, user_effect
 from odomcorrupt.errors import EffectError, ModelError
 from odomcorrupt.model.model_file import format_model, parse_model
 
-HEAD = (
-    'schema = 1\n[noise]\nlaw = "diffusion"\nrot_rot = 0\nrot_trans = 0\ntrans_trans = 0\ntrans_rot = 0\n[[effect]]\n'
-)
+HEAD = 'schema = 1\n[noise]\nlaw = "diffusion"\nrot_rot=0\nrot_trans = 0\ntrans_trans=0\ntrans_rot = 0\n[[effect]]\n'
 
 
 def rates(text, **values):

@@ -184,9 +184,7 @@ def test_what_is_no_effect_is_one_line_of_wrong_usage(folder, capsys, effect, se
 
 
 def test_a_model_file_names_no_code(folder, capsys):
-    Path("robot.toml").write_text(
-        f'schema = 1\n[noise]\n{NONE}\n[[effect]]\nname = "sway_in_folder.Wobble"\nk = 0.01\n'
-    )
+    Path("robot.toml").write_text(f'schema=1\n[noise]\n{NONE}\n[[effect]]\nname = "sway_in_folder.Wobble"\nk = 0.01\n')
     assert run([OFFICE, "out.mcap", "--model", "robot.toml"]) == 1
     assert "no effect is called 'sway_in_folder.Wobble'" in capsys.readouterr().err
 

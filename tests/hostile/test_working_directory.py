@@ -114,9 +114,7 @@ def test_modules_of_the_folder_replace_none_of_the_program(folder, path):
         ["effects"],
         f"batch {OFFICE} runs --runs 4 --jobs 2 --seed 1 --output trajectories --effect wheel_scale".split(),
     ):
-        done = subprocess.run(
-            [*start, *words], capture_output=True, text=True, check=False, env=environment, timeout=60
-        )
+        done = subprocess.run([*start, *words], capture_output=True, text=True, check=False, env=environment)
         assert done.returncode == 0, done.stderr
     assert list(folder.glob("RAN*")) == []
 

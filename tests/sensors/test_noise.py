@@ -79,9 +79,7 @@ def test_an_imu_has_the_noise_of_its_file_and_nothing_else_changes(densities, fi
     assert [rows[1] for rows in after["/scan"]] == [rows[1] for rows in before["/scan"]]
     vector = lambda one, name: [getattr(getattr(one, name), axis) for axis in "xyz"]  # noqa: E731
     both = ("angular_velocity", "linear_acceleration")
-    was, now = (
-        {name: np.array([vector(m, name) for _, _, m in bag["/imu"]]) for name in both} for bag in (before, after)
-    )
+    was, now = ({key: np.array([vector(m, key) for _, _, m in bag["/imu"]]) for key in both} for bag in (before, after))
     error = now[field] - was[field]
     times_s = np.array([m.header.stamp.sec + m.header.stamp.nanosec * 1e-9 for _, _, m in before["/imu"]])
     white, walk = densities[::2], densities[1::2]
