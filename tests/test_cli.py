@@ -331,6 +331,8 @@ def test_the_shell_completes_commands_options_and_files():
     assert set(completed("odomcorrupt in.bag out.bag --law ")) == {f"plain,{name}" for name in LAWS}
     optitrack = {"plain,optitrack-diff-drive", "plain,optitrack-tricycle"}
     assert set(completed("odomcorrupt preview in.bag --preset opti")) == optitrack
+    for words in ("export acker", "compare in.bag acker"):
+        assert completed(f"odomcorrupt {words}") == ["plain,ackermann", "file,acker"]
     gyro = {f"plain,{name}" for name in registry() if name.startswith("gyro")}
     assert set(completed("odomcorrupt in.bag out.bag --effect gyro")) == gyro
 

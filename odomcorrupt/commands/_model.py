@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
+from click.shell_completion import CompletionItem
 
 from odomcorrupt.commands._options import (
     FILE,
@@ -41,12 +42,13 @@ _FEWEST, _MOST = 4, 6
 _NUMBER = re.compile(r"-?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?(deg|rad)?(/(m|rad))?\Z")
 
 
-def completing(module: str, table: str) -> Callable[..., list[str]]:
-    """Return a shell completion over the names in a module's table; the module is imported on use."""
+def completing(module: str, table: str, *, files: bool = False) -> Callable[..., list[CompletionItem]]:
+    """Return a shell completion over the names in a module's table, and files; the module is imported on use."""
 
-    def complete(_ctx: click.Context, _param: click.Parameter, typed: str) -> list[str]:
+    def complete(_ctx: click.Context, _param: click.Parameter, typed: str) -> list[CompletionItem]:
         names = getattr(import_module(f"odomcorrupt.{module}"), table)
-        return [name for name in (names() if callable(names) else names) if name.startswith(typed)]
+        found = [CompletionItem(name) for name in (names() if callable(names) else names) if name.startswith(typed)]
+        return [*found, CompletionItem(typed, type="file")] if files else found
 
     return complete
 

@@ -155,11 +155,12 @@ def recording_options(*own: Decorator) -> Decorator:
 
 
 def split_arguments(arguments: Sequence[str]) -> tuple[list[Path], list[str]]:
-    """Split arguments into recordings (also of folders, patterns and lists) and models, which end in .toml."""
+    """Split arguments into recordings (also of folders, patterns and lists) and models: .toml files and presets."""
     from odomcorrupt.api.recordings import recording_paths
+    from odomcorrupt.model.presets import PRESETS
 
-    models = [a for a in arguments if a.endswith(".toml")]
-    recordings = recording_paths([a for a in arguments if not a.endswith(".toml")])
+    models = [a for a in arguments if a.endswith(".toml") or (a in PRESETS and not Path(a).exists())]
+    recordings = recording_paths([a for a in arguments if a not in models])
     if not recordings:
         raise click.UsageError("no recording given; name a bag with odometry and truth")
     return recordings, models

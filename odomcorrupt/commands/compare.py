@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from odomcorrupt.commands._model import completing
 from odomcorrupt.commands._options import PAGE, PICTURE
 from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options
@@ -23,7 +24,10 @@ _NAMES = ("error", "path", "nees", "residuals", "map", "pit")
 
 
 @click.command("compare", short_help="Compare models with measurements; see where they fail.")
-@click.argument("arguments", nargs=-1, required=True, metavar="RECORDING... MODEL.toml...")
+@click.argument(
+    "arguments", nargs=-1, required=True, metavar="RECORDING... MODEL.toml...",
+    shell_complete=completing("model.presets", "PRESETS", files=True),
+)  # fmt: skip
 @recording_options(
     click.option(
         "--plot", multiple=True, metavar="[NAME=]FILE",
@@ -47,7 +51,7 @@ def command(
 
     paths, names = split_arguments(arguments)
     if not names:
-        raise click.UsageError("no model given; name one or more .toml files that `odomcorrupt fit` wrote")
+        raise click.UsageError("no model given; name one or more .toml files that `odomcorrupt fit` wrote, or a preset")
     plots = _plots(plot)
     for picture in plots:
         PICTURE.require_writable(picture, overwrite=overwrite)
@@ -60,7 +64,7 @@ def command(
     files: dict[Path, Callable[[], object]] = {p: partial(result.plot, p, picture=name) for p, name in plots.items()}
     if report is not None:
         files[report] = lambda: write_text(report, result.report())
-    following = ["sim.bag", "noisy.bag", "--model", names[-1]]
+    following = ["sim.bag", "noisy.bag", "--model" if names[-1].endswith(".toml") else "--preset", names[-1]]
     if result.fails:
         following = ["diagnose", *map(str, paths), *reading.words, names[-1]]
     console.show(result.then("odomcorrupt", *following), files=files)

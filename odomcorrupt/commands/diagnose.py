@@ -26,13 +26,13 @@ def command(
 ) -> None:
     """Rank the effects by evidence, with what each would gain on held-out data, and suggest the next command."""
     from odomcorrupt.api.findings import diagnose
-    from odomcorrupt.api.model import Model
+    from odomcorrupt.api.model import as_model
 
     paths, names = split_arguments(arguments)
     if len(names) > 1:
         raise click.UsageError(f"{len(names)} models given; diagnose one at a time")
     # an unreadable model is reported before minutes of work
-    model = Model.load(names[0]) if names else None
+    model = as_model(names[0]) if names else None
     with reading.stages(console) as stages:
         runs, _ = reading.read(paths, console, stages, track=model.motion_model.track_m if model else None)
         result = diagnose(runs, names[0] if names else None, watch=stages)
@@ -43,8 +43,7 @@ def command(
 def _following(result: Diagnosis, words: list[str], models: list[str]) -> list[str]:
     """Return the command that adds the missing effects, or evaluates a model that lacks none."""
     if not all(run.positioned for run in result.recordings):
-        # a model needs travel
-        return []
+        return []  # a model needs travel
     if result.result.search.laws or not (result.missing or models):
         # only `learn` writes a dependence, and the effects found hold only beside it
         return ["odomcorrupt", "learn", *words, "-o", "robot.toml"]

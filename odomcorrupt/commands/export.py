@@ -28,7 +28,7 @@ def _number(
 
 
 @click.command("export", short_help="Print a model as parameters of ros2_control, nav2, robot_localization or Gazebo.")
-@click.argument("model", type=FILE, shell_complete=completing("model.presets", "PRESETS"))
+@click.argument("model", type=FILE, shell_complete=completing("model.presets", "PRESETS", files=True))
 @click.option(
     "--to", "target", type=click.Choice(["ros2_control", "nav2", "robot_localization", "gazebo"]),
     help="Wheel multipliers, amcl's alphas, covariances, or a drive plugin.",

@@ -59,7 +59,7 @@ def command(
     are runs of one robot, each with its own clock.
     """
     from odomcorrupt.api.findings import fit, require_effects
-    from odomcorrupt.api.model import Model
+    from odomcorrupt.api.model import as_model
 
     paths, models = split_arguments(recordings)
     if models:
@@ -69,7 +69,7 @@ def command(
             raise click.UsageError("--end and --scan: scans measure where a drive ended; leave one of them out")
         _square_test(paths, ends or ("0,0,0",), reading, add, output, console)
         return
-    begin = None if start is None else Model.load(start)
+    begin = None if start is None else as_model(str(start))
     require_effects(begin, add)
     with reading.stages(console) as stages:
         runs, _ = reading.read(paths, console, stages, track=begin.motion_model.track_m if begin else None)

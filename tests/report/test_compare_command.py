@@ -19,6 +19,17 @@ def test_it_prints_horizons_verdicts_and_sentences(case, capsys):
     assert [words for words in said if words not in out] == []
 
 
+def test_a_preset_is_a_model_of_compare_diagnose_and_fit(case, capsys):
+    assert compare(case, "bad") == 0
+    said = capsys.readouterr().out
+    assert said.replace("\\\n", " ").split()[-3:] in (
+        ["noisy.bag", "--preset", "bad"],
+        ["diagnose", str(case.bag), "bad"],
+    )
+    assert run(["diagnose", str(case.bag), "bad", "-q"]) == 0
+    assert run(["fit", str(case.bag), "--start", "bad", "-q"]) == 0
+
+
 def test_json_has_the_numbers_behind_and_a_rejected_model_fails_where_that_is_asked_for(case, capsys):
     assert compare(case, case.base, "--json", "--fail-if-rejected") == REJECTED == 4
     model = json.loads(capsys.readouterr().out)["models"][0]
