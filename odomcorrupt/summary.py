@@ -112,8 +112,8 @@ def wrapped(text: str, width: int) -> str:
 
 
 def _folded(tone: Tone, text: str, width: int) -> list[str]:
-    if tone != "command":
-        return textwrap.wrap(text, width) or [""]
+    if tone != "command":  # an option is not divided
+        return textwrap.wrap(text, width, break_on_hyphens="--" not in text) or [""]
     quoted = re.sub(r"'[^']*'", lambda word: word[0].replace(" ", "\0"), text)
     parts = textwrap.wrap(quoted, width - 2, break_long_words=False, break_on_hyphens=False)
     return " \\\n".join(parts).replace("\0", " ").split("\n")

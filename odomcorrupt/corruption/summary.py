@@ -57,7 +57,7 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
         lines = [Line("MOVED", said, "good"), Line("model", model_brief(outcome.model, origin.partition(":")[0]))]
     faster = [Line("faster", sentence, "warning") for sentence in _faster(drift)]
     lines[1:1] = [*lost_lines(outcome), *faster, *places_lines(outcome.model, outcome.frames.odom)]
-    lines.append(Line("seed", f"{outcome.seed}, run {outcome.run}"))
+    lines.append(Line("seed", f"{outcome.seed}, run {outcome.run}", weight=FOUND))
     look: Literal["plain", "warning"] = "plain" if outcome.changes.edges or outcome.added else "warning"
     lines.append(Line("odometry", _counted(outcome) + topic_words(outcome), look))
     lines += [
@@ -75,7 +75,7 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
     lines += [Line("anomaly", sentence, "warning", weight=FOUND) for sentence in odd]
     if not is_identity and not outcome.added:
         stays = localisation_words(outcome.stayed, outcome.frames, outcome.channels)
-        lines += [Line("note", said, "warning", FOUND) for said in stays]
+        lines += [Line("note", said, "warning", FOUND, said.partition(" and localise")[0]) for said in stays]
     if not is_identity and per_message(outcome.model.noise):
         lines.append(Line("rate", "the drift depends on the message rate: see --step and --law diffusion", "warning"))
     following = () if target == "-" else (command_line(["odomcorrupt", "info", target]),)
