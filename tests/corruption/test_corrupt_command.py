@@ -112,9 +112,8 @@ def test_the_localisation_of_the_true_odometry_is_said_and_can_be_left_out(tmp_p
         assert "/amcl_pose stays, and is of the true odometry if it is a localisation: leave it out with " in said
     assert run([str(source), str(target), "--seed", "1", "--overwrite"]) == 0
     brief = capsys.readouterr().err
-    assert [brief.count(said) for said in ("seed      1, run 0", "--exclude-topic /tf:map.odom", "c /amcl_pose")] == [
-        1
-    ] * 3
+    assert "seed      1, run 0" in brief
+    assert "--exclude-topic /tf:map.odom" in brief
     left_out = ["--exclude-topic", "/amcl_pose", "--exclude-topic", "/tf:map.odom"]
     assert run(["batch", str(source), str(tmp_path / "c"), *batched, *left_out]) == 0
     assert "stays" not in capsys.readouterr().out
