@@ -124,7 +124,7 @@ def score_html(report: ScoreReport, verdicts: Sequence[Verdict]) -> str:
             "its 95 % interval.", draw_alone(drift, report, 8.0, 4.2),
         ),
         picture(
-            "along", "Error along the path", "Position error of each run over the distance driven; lost runs are red.",
+            "along", "Error along the path", "Position error of each run over the way driven; lost runs are orange.",
             draw_alone(along, report, 8.0, 4.2),
         ),
         picture("places", "Where it fails", "Crosses: where runs were lost.", draw_alone(places, report, 7.0, 6.0)),

@@ -382,15 +382,14 @@ def found_html(learned: Learned, sequence: Comparison, advice: Advice, following
     """Return the HTML page of a search.
 
     sequence : models in the order of the search, cross-validated, or the evaluation used instead
-    following : suggested next command, or ""
-    summary : its lines "change" say what to set in the robot
+    following, summary : suggested next command, or "", and lines "change" that say what to set in the robot
     """
-    names = ", ".join(recording.name for recording in learned.fit.problem.recordings)
-    title = f"What is missing: {names}"
-    mark = "verdict rejected" if learned.added or learned.unknown else "verdict"
+    names = [recording.name for recording in learned.fit.problem.recordings]
+    others = "".join(f", judged on {name}" for name in sequence.recordings if name not in names)
+    title = f"What is missing: {', '.join(names)}{others}"
     body = [
         f"<h1>{escape(title)}</h1>",
-        f'<p class="{mark}">{escape(_verdict(learned, sequence))}</p>',
+        f'<p class="verdict{" rejected" * bool(learned.added or learned.unknown)}">{escape(_verdict(learned, sequence))}</p>',
         *_cards(learned, sequence),
         "<h2>What to do next</h2>",
         *(f"<p>{escape(line.text)}.</p>" for line in summary.lines if line.label == "change"),
