@@ -385,11 +385,11 @@ def found_html(learned: Learned, sequence: Comparison, advice: Advice, following
     following, summary : suggested next command, or "", and lines "change" that say what to set in the robot
     """
     names = [recording.name for recording in learned.fit.problem.recordings]
-    others = "".join(f", judged on {name}" for name in sequence.recordings if name not in names)
-    title = f"What is missing: {', '.join(names)}{others}"
+    title = ", judged on ".join([", ".join(names), *(name for name in sequence.recordings if name not in names)])
+    mark = " rejected" if learned.added or learned.unknown else ""
     body = [
-        f"<h1>{escape(title)}</h1>",
-        f'<p class="verdict{" rejected" * bool(learned.added or learned.unknown)}">{escape(_verdict(learned, sequence))}</p>',
+        f"<h1>What is missing: {escape(title)}</h1>",
+        f'<p class="verdict{mark}">{escape(_verdict(learned, sequence))}</p>',
         *_cards(learned, sequence),
         "<h2>What to do next</h2>",
         *(f"<p>{escape(line.text)}.</p>" for line in summary.lines if line.label == "change"),
@@ -407,7 +407,7 @@ def found_html(learned: Learned, sequence: Comparison, advice: Advice, following
     if advice.best is not None:
         caption = f"What to drive: {drive_sentence(advice.best)}. `--drive next.mcap` writes it as /cmd_vel."
         body.append(picture("drive", "The next drive", caption, draw_plan(advice.best)))
-    return page(title, [*body, *_detectable(advice)], _SEARCH_LEGEND)
+    return page(f"What is missing: {title}", [*body, *_detectable(advice)], _SEARCH_LEGEND)
 
 
 _ERROR = (
