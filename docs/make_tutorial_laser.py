@@ -35,6 +35,7 @@ def main() -> None:
     for words in (
         ["learn", at["run.mcap"], "--scan", "/scan", "--validate", at["other.mcap"], "-o", at["robot.toml"],
          "--plot", at["falls.png"], "--overwrite"],
+        ["learn", at["run.mcap"], "--scan", "/scan", "--validate", at["other.mcap"], "-v"],
         ["map", at["run.mcap"], "--scan", "/scan", "--method", "laser", "--seed", "7", "-o", at["map.yaml"],
          "--overwrite"],
         ["correct", at["other.mcap"], at["corrected.mcap"], "--model", at["robot.toml"], "--overwrite"],
