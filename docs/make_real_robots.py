@@ -25,7 +25,7 @@ from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.report.comparison import sentence
 from odomcorrupt.report.diagnosis import dependence
 from odomcorrupt.report.findings import value_text
-from odomcorrupt.report.plots.figure import BLACK, RED, SKY, drawing, new_figure
+from odomcorrupt.report.plots.figure import BLUE, TRUTH, drawing, new_figure
 from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.select.selection import learn
@@ -312,10 +312,10 @@ def panel(axes: Axes, paths: Replay, name: str) -> None:
     """Draw one model's runs."""
     for i, run in enumerate(paths.runs_xyt[:100]):
         axes.plot(
-            run[:, 0], run[:, 1], color=SKY, linewidth=0.6, alpha=0.4, label="100 corrupted truths" if i == 0 else None
+            run[:, 0], run[:, 1], color=BLUE, linewidth=0.6, alpha=0.2, label="100 corrupted truths" if i == 0 else None
         )
-    axes.plot(*paths.truth_xyt[:, :2].T, color=BLACK, linewidth=1.2, label="truth")
-    axes.plot(*paths.measured_xyt[:, :2].T, color=RED, linewidth=1.4, label="measured odometry")
+    axes.plot(*paths.truth_xyt[:, :2].T, color=TRUTH, linewidth=1.2, label="truth")
+    axes.plot(*paths.measured_xyt[:, :2].T, "--", color="0.4", linewidth=1.6, label="measured odometry")
     axes.set(title=name, xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal", adjustable="box")
     axes.grid(visible=True, color="0.93")
