@@ -90,8 +90,7 @@ class Batch(Result):
 
     def summary(self) -> Summary:
         """Return the number of runs, effects of places, the drift, the failures, and the next command."""
-        records = self.records
-        made = f"{self.made_now} runs made now, {len(records)} in {self.directory}"
+        made = f"{self.made_now} runs made now, {len(self)} in {self.directory}"
         lines = [Line("FAILED", made, "bad") if self.failures else Line("MADE", made, "good")]
         lines += [*places_lines(self.jobs[0].model), Line("seed", str(self.seed))]
         names = [os.path.relpath(job.directory, self.directory) for job in self.jobs]
@@ -105,7 +104,7 @@ class Batch(Result):
         for label, key in (("lost", "losses"), ("note", "remarks")):
             lines += [Line(label, said, "warning") for said in self._said(key)]
         # a sweep has a spread at each of its points; one run has none
-        words = ("odomcorrupt", "spread", self.directory / names[0]) if len(records) > len(self.jobs) else ()
+        words = ("odomcorrupt", "spread", self.directory / names[0]) if len(self) > len(self.jobs) else ()
         return Summary((*lines, command_line(words)), MOST_LINES + len(drifts))
 
     def details(self) -> str:
@@ -115,6 +114,7 @@ class Batch(Result):
             first, reason = self.failures[0]
             names = ", ".join([*(str(run) for run, _ in self.failures[:8]), *["..."] * (len(self.failures) > 8)])
             said += f" Not made, tried twice: {len(self.failures)} runs ({names}); run {first}: {reason}"
+        said += "".join(f" {job.directory} drifts by {drift}." for job in self.jobs if (drift := _drift(job)))
         return " ".join([said, *(f"Lost: {loss}." for loss in self.losses), *(f"{r}." for r in self._said("remarks"))])
 
     def _values(self) -> dict[str, Any]:

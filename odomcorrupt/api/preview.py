@@ -155,7 +155,7 @@ class Preview(Result):
         outlook, model = self.result, self.model.motion_model
         *middle, end = outlook.rows
         said = f"{size_words(end.position_rms_m, end.heading_rms_rad)} RMS after {outlook.distance_m:.4g} m"
-        lines = [Line("DRIFT", f"{said}; 9 of 10 below {end.position_90_m:.3g} m")]
+        lines = [Line("DRIFT", f"{said}; 9 of 10 below {end.position_90_m:.3g} m", "good")]
         lines += [
             Line(f"at {row.after_m:g} m", f"{size_words(row.position_rms_m, row.heading_rms_rad)} RMS")
             for row in [row for row in middle if row.after_m >= 1.0][-2:]

@@ -109,6 +109,7 @@ def test_the_localisation_of_the_true_odometry_is_said_and_can_be_left_out(tmp_p
         assert run(words) == 0
         said = " ".join("".join(capsys.readouterr()).split())
         assert "TF map -> odom stays, and is that of the true odometry" in said
+        assert words[0] != "batch" or f"{tmp_path / 'b'} drifts by 0." in said
         assert "/amcl_pose stays, and is of the true odometry if it is a localisation: leave it out with " in said
     assert run([str(source), str(target), "--seed", "1", "--overwrite"]) == 0
     brief = capsys.readouterr().err
