@@ -66,16 +66,15 @@ and cut into windows of path that do not overlap. The measured odometry of a win
 90 % of the corrupted ones, in 90 % of windows; a model is **covered** if it has as many there as a right model has, or
 exceeds, in 19 of 20 cases. Windows are few: a right model, too, may have 4 of 6.
 
-The log score falls on Create 1, by 14 nats per metre with a standard error of 10, and on the mower, by less than its
-standard error. Models are those of `odomcorrupt learn`, without parts that clearly increase the error on held-out
-halves. Lengths are in m, angles in rad unless stated; the noise law is `diffusion`. `docs/make_real_robots.py` makes
-this page.
+The log score falls on Create 2, by 13 nats per metre with a standard error of 17. Models are those of `odomcorrupt
+learn`, without parts that clearly increase the error on held-out halves. Lengths are in m, angles in rad unless stated;
+the noise law is `diffusion`. `docs/make_real_robots.py` makes this page.
 """
 
 COMMANDS = """\
 **iRobot Create.** Their odometry is the commanded velocity. What lies between command and wheels (delay and slow
 response of the motors, speeds that the drive rounds or cannot reach) is not an effect of this library; a function of
-the command approximates it (`along_over_lateral_acceleration`, `along_over_speed`).
+the command approximates it (`along_over_yaw_rate`, `yaw_over_lateral_acceleration`).
 """
 
 ROBOTS = (
