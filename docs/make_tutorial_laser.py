@@ -25,12 +25,17 @@ DRIVES = {"run.mcap": (501, 180.0), "other.mcap": (502, 120.0)}
 IMAGES = HERE / "images"
 
 
-def main() -> None:
-    """Make the bags, then run the commands of the page in its order."""
-    folder = Path(sys.argv[1])
+def write_bags(folder: Path) -> None:
+    """Write the bags of the page."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, (seed, duration_s) in DRIVES.items():
         write_bag(folder / name, drive(seed, "wheelbase", "office", duration_s=duration_s, route="loops", **ROBOT))
+
+
+def main() -> None:
+    """Make the bags, then run the commands of the page in its order."""
+    folder = Path(sys.argv[1])
+    write_bags(folder)
     at = {name: str(folder / name) for name in (*DRIVES, "robot.toml", "map.yaml", "corrected.mcap", "falls.png")}
     for words in (
         ["learn", at["run.mcap"], "--scan", "/scan", "--validate", at["other.mcap"], "-o", at["robot.toml"],

@@ -11,7 +11,8 @@ from matplotlib.image import imread
 ROOT = Path(__file__).parents[2]
 sys.path.append(str(ROOT / "docs"))
 
-from make_tutorial import IMAGES, PAGE, play, sessions  # noqa: E402 - its folder had to be found first
+import make_tutorial_laser  # noqa: E402 - its folder had to be found first
+from make_tutorial import IMAGES, PAGE, play, sessions  # noqa: E402
 
 
 def words(line: str) -> str:
@@ -44,3 +45,15 @@ def test_the_tutorial_runs_and_says_what_it_shows(tmp_path):
         assert stored.shape == drawn.shape, f"tutorial_{name}.png is stale: run docs/make_tutorial.py"
         # last digits move lines by a pixel; another legend or another curve changes more
         assert np.mean(np.abs(stored - drawn) > 0.15) < 0.01, f"tutorial_{name}.png is stale: run docs/make_tutorial.py"
+
+
+@pytest.mark.slow
+def test_the_laser_tutorial_runs_and_says_what_it_shows(tmp_path):
+    page = PAGE.with_name("tutorial-laser.md").read_text(encoding="utf8")
+    make_tutorial_laser.write_bags(tmp_path)
+    first, *others = re.findall(r"(?m)^(odomcorrupt .*)$", page)
+    lines = ["set -e", first, f"{first} -v --force", "cp fixtures/office.mcap .", *others]
+    said = play("\n".join(lines), tmp_path)
+    assert all((tmp_path / name).exists() for name in ("falls.png", "map.yaml", "corrected.mcap", "noisy.mcap"))
+    for line in "".join(re.findall(r"```text\n(.*?)```", page, re.DOTALL)).splitlines():
+        assert "more line" in line or words(line) in words(said), line
