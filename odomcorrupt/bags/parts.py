@@ -272,10 +272,8 @@ class PartsReader:
         if not self.count or self.metadata is None:
             return []
         topics = [(channel.topic, channel.msgtype) for channel in self.channels.values()]
-        said = differences(self._found.info, self.kind, self.count, topics)
-        if self._found.unlisted:
-            said.append(f"metadata.yaml does not list {self._found.unlisted}")
-        return said
+        unlisted = [f"metadata.yaml does not list {self._found.unlisted}"] if self._found.unlisted else []
+        return [*unlisted, *differences(self._found.info, self.kind, self.count, topics)]
 
     @property
     def count(self) -> int:

@@ -13,7 +13,7 @@ from odomcorrupt.corruption.path import LEG_M
 from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.effects.effect import choices, parameters
 from odomcorrupt.model.presets import DEFAULT, suggested
-from odomcorrupt.summary import FOUND, Line, Summary, command_line
+from odomcorrupt.summary import FIRST, FOUND, Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -94,7 +94,7 @@ def lost_lines(outcome: Outcome) -> list[Line]:
         return []
     _, _, first = outcome.losses[0].partition(": ")  # behind the name of the file
     more = f" (and {len(outcome.losses) - 1} more: -v shows all)" if len(outcome.losses) > 1 else ""
-    return [Line("LOST", textwrap.shorten(first, _LOST_WIDTH, placeholder=" ...") + more, "bad")]
+    return [Line("LOST", textwrap.shorten(first, _LOST_WIDTH, placeholder=" ...") + more, "bad", FIRST)]
 
 
 def places_lines(model: MotionModel, frame: str = "odom") -> list[Line]:
