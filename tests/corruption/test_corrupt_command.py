@@ -126,8 +126,10 @@ def test_the_localisation_of_the_true_odometry_is_said_and_can_be_left_out(tmp_p
         kept = {("odom", "base_link"), *([("base_link", "laser")] if len(words) == 1 else [])}
         assert {edge[:2] for edge in edges_of(target)} == kept
         assert [edge for edge in edges_of(target) if edge[:2] == ("odom", "base_link")] == moved
-    assert run([str(source), str(target), "--seed", "1", "-v", "--overwrite", "--exclude-topic", "/tf:odom.map"]) == 0
-    assert "no transform of the edge to leave out was found" in capsys.readouterr().err
+    for words in ([str(source), str(tmp_path / "d.mcap")], ["batch", str(source), str(tmp_path / "d"), *batched]):
+        assert run([*words, "--exclude-topic", "/tf:map.odom", "--exclude-topic", "/tf:odom.map"]) == 1
+        assert "/tf:odom.map: the input has no such edge (it has /tf:base_link.laser, /tf:" in capsys.readouterr().err
+        assert not [*tmp_path.glob("d/run*"), *tmp_path.glob("d.mcap")]
     assert run([str(source), str(target), "--overwrite", "--exclude-topic", "/odom:map.odom"]) == 1
     assert "an edge of TF as in /tf:map.odom" in " ".join(capsys.readouterr().err.split())
 

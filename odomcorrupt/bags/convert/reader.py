@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.bags.block import Channel, Definition
 from odomcorrupt.bags.convert.rewritten import RewrittenReader, Rule
-from odomcorrupt.bags.messages import TRANSFORMS, read_template
+from odomcorrupt.bags.messages import TRANSFORMS, locate, read_template
 from odomcorrupt.errors import BagError, TopicError
 
 if TYPE_CHECKING:
@@ -129,22 +129,17 @@ class ConvertedReader(RewrittenReader):
         self._first: dict[tuple[str, str], int] = {}
         self._types: dict[tuple[str, str, bytes], MessageType] = {}
         if reader.complete:
+            self._require_edges({one: split for one in exclude if (split := split_edge(one, known))[1]})
             self._require_convertible()
             self._require_distinct()
 
     @property
     def remarks(self) -> list[str]:
         """What the output's types cannot hold, one sentence for each type, and names that it cannot have."""
-        lost = {
-            f"{one.msgtype} loses {', '.join(one.lost)}: ROS {self._ros} has no such field"
-            for one in self._types.values()
-            if one.lost
-        }
-        forbidden = [
-            f"{old} is now {new}"
-            for old, new in self._topics.items()
-            if old != new and old.lstrip("/") not in self._rename
-        ]
+        fewer = [one for one in self._types.values() if one.lost]
+        lost = {f"{one.msgtype} loses {', '.join(one.lost)}: ROS {self._ros} has no such field" for one in fewer}
+        names = self._topics.items()
+        forbidden = [f"{old} is now {new}" for old, new in names if old != new and old.lstrip("/") not in self._rename]
         said = [*getattr(self.reader, "remarks", ()), *sorted(lost)]
         if forbidden:
             said.append(f"ROS 2 forbids names of topics: {', '.join(forbidden)}; --rename OLD=NEW chooses others")
@@ -230,21 +225,36 @@ class ConvertedReader(RewrittenReader):
             latched = stays_for_late_subscribers(definition.metadata.get("offered_qos_profiles", ""))
             metadata = {"md5sum": new.digest, "latching": "1" if latched else "0"}
             return Definition(new.msgtype.replace("/msg/", "/"), "ros1msg", new.text.encode(), metadata)
-        qos = latched_qos() if self._latches(channel) else ""
+        # a ROS 1 topic has as many definitions as publishers
+        same = [c for c in self.reader.channels.values() if (c.topic, c.msgtype) == (channel.topic, channel.msgtype)]
+        latches = any(self.reader.definition(one).metadata.get("latching") == "1" for one in same)
+        qos = latched_qos() if latches else ""
         metadata = {"offered_qos_profiles": qos, "topic_type_hash": new.digest}
         return Definition(new.msgtype, "ros2msg", new.text.encode(), metadata)
-
-    def _latches(self, channel: Channel) -> bool:
-        """Return whether some publisher of a ROS 1 topic latches its last message."""
-        wanted = channel.topic, channel.msgtype
-        same = [one for one in self.reader.channels.values() if (one.topic, one.msgtype) == wanted]
-        return any(self.reader.definition(one).metadata.get("latching") == "1" for one in same)
 
     def _refused(self, channel: Channel, why: str) -> BagError:
         what = f"cannot become messages of ROS {self._ros}" if self._ros else "cannot be written"
         return BagError(
             f"{self.name}: {channel.topic} {what} ({why}); leave the topic out with --exclude-topic {channel.topic}"
         )
+
+    def _require_edges(self, asked: Mapping[str, tuple[str, frozenset[tuple[str, str]]]]) -> None:
+        """Raise TopicError if TF has none of the edges that a word may mean; TF is read until each word has one."""
+        met: dict[str, set[tuple[str, str]]] = {topic: set() for topic, _ in asked.values()}
+        tf = [channel for channel in self.reader.channels.values() if channel.topic.lstrip("/") in met]
+        missing = list(asked)
+        for block in self.reader.blocks({channel.id for channel in tf}) if asked else ():
+            for channel in tf:
+                items = (item for layout in locate(block, channel) for item in layout.items)
+                met[channel.topic.lstrip("/")] |= {
+                    (i.frame_id.lstrip("/"), i.child_frame_id.lstrip("/")) for i in items
+                }
+            missing = [one for one, (topic, edges) in asked.items() if edges.isdisjoint(met[topic])]
+            if not missing:
+                return
+        for one in missing:
+            has = ", ".join(f"/{asked[one][0]}:{parent}.{child}" for parent, child in sorted(met[asked[one][0]]))
+            raise TopicError(f"--exclude-topic {one}: the input has no such edge (it has {has}); name one of these")
 
     def _require_convertible(self) -> None:
         """Raise BagError for topics that cannot be converted, before anything is written."""
@@ -267,9 +277,8 @@ class ConvertedReader(RewrittenReader):
 
     def _require_distinct(self) -> None:
         """Raise BagError for two topics of one name."""
-        names = sorted(
-            {(self._topics[one.topic], one.topic) for one in self.reader.channels.values() if one.topic in self._topics}
-        )
+        topics = self._topics.keys() & {one.topic for one in self.reader.channels.values()}
+        names = sorted((self._topics[topic], topic) for topic in topics)
         for (new, first), (same, second) in pairwise(names):
             if new == same:
                 raise BagError(f"--rename: {first} and {second} would both be {new}; choose another name for one")
