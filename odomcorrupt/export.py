@@ -305,8 +305,8 @@ def _known(model: MotionModel, base: Base, program: str) -> tuple[float, ...]:
     sizes = {"--track": track, "--wheelbase": base.wheelbase if layout else 0.0, "--wheel-radius": base.radius}
     known = [size for size in sizes.values() if size is not None]
     if len(known) < len(sizes):
-        *first, last = (option for option, size in sizes.items() if size != 0.0)
-        raise ModelError(f"{program} takes dimensions, not multipliers; give {', '.join(first)} and {last}")
+        lacking = ", ".join(option for option, size in sizes.items() if size is None)
+        raise ModelError(f"{program} takes dimensions, not multipliers; give {lacking}")
     return (*known, *wheel_multipliers(model, track).values())
 
 
