@@ -99,7 +99,7 @@ class ErrorGate:
             found = compare_paired(old, new, rise=rise, statistic=statistic)
         except OdomCorruptError as error:
             raise AssertionError(f"{self.path}: {error}") from None
-        said = f"the {paired_sentence(found, metric, statistic, old, new)}"
+        said = f"the {paired_sentence(found, metric, statistic, old, new, rise=rise)}"
         rows = [f"  {common[i]}: {shown(old[i])} -> {shown(new[i])}" for i in worst_of(old, new)]
         _require(not found.rise, "\n".join([said, *rows, "If that is intended, accept it with --odomcorrupt-update."]))
         return found

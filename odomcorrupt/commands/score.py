@@ -58,7 +58,7 @@ _BASELINE_BYTES = 1 << 28
 )  # fmt: skip
 @click.option(
     "--fail-if", "rules", multiple=True, metavar="RULE",
-    help='Exit with 1 if this rule holds, as in "ate_p90 +20%", "lost +1", "ate_median > 0.3" (repeatable).',
+    help='Exit with 1 on a significant rise, "ate_p90 +20%", or beyond a bound, "lost +1", "ate > 0.3" (repeatable).',
 )  # fmt: skip
 @click.option("--save", type=OUTPUT, help="Write the result as JSON: a baseline for later.")
 @click.option("-o", "--output", type=OutputFile("json", *PICTURES), help="The same as --save, or as --plot.")

@@ -89,8 +89,8 @@ def score_brief(report: ScoreReport, verdicts: Sequence[Verdict]) -> Summary:
     said = f"{report.failed} of {len(report.runs)} runs failed{_kinds(report)}"
     bad = sum(one.failed for one in verdicts)
     if verdicts:
-        kept = f"{len(verdicts) - bad} of {len(verdicts)} rules hold; {said}"
-        lines = [Line("FAILED", kept, "bad") if bad else Line("PASSED", kept, "good")]
+        broken = f"{bad} of {len(verdicts)} rules broken; {said}"
+        lines = [Line("FAILED", broken, "bad") if bad else Line("PASSED", broken, "good")]
     elif report.identical:
         lines = [Line("IDENTICAL", f"in all runs: your localisation was not run again; {said}", "bad")]
     else:

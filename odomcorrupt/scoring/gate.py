@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from math import degrees, erfc, exp, inf, isfinite, log, sqrt
 from typing import TYPE_CHECKING, Any, Literal
@@ -248,8 +249,7 @@ def typical_of(results: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
         repeats = sorted((one[key] for one in every if key in one), key=lambda run: (not run["scored"], run["failed"]))
         errors = {name: np.array([_error(run, name) for run in repeats], dtype=float) for name in _METRICS.values()}
         metrics = {name: float(np.median(values)) for name, values in errors.items() if not np.isnan(values).any()}
-        known = {name: median for name, median in metrics.items() if isfinite(median)}
-        mad = {name: float(np.median(np.abs(errors[name] - median))) for name, median in known.items()}
+        mad = {name: float(np.median(np.abs(errors[name] - m))) for name, m in metrics.items() if isfinite(m)}
         runs.append({**repeats[len(repeats) // 2], "metrics": metrics, "mad": mad})
     return {**results[0], "runs": runs}
 
@@ -319,27 +319,32 @@ def _verdict(rule: Rule, runs: Mapping[Any, Mapping[str, Any]], pairs: Sequence[
         found = compare_paired(*values, rise=rule.amount, statistic=rule.statistic)
     except ScoreError as error:  # too few pairs: the scores and the reports for CI are there nevertheless
         return Verdict(rule.text, failed=True, sentence=f"{_outcome(rule, failed=True)} {error}")
-    sentence = f"{_outcome(rule, failed=found.rise)} {paired_sentence(found, rule.metric, rule.statistic, *values)}"
+    said = paired_sentence(found, rule.metric, rule.statistic, old=values[0], new=values[1], rise=rule.amount)
+    sentence = f"{_outcome(rule, failed=found.rise)} {said}"
     scatter = [old["mad"][rule.metric] for old, _ in pairs if rule.metric in old.get("mad", ())]
     if any(scatter):
         sentence += f"; repeats of the baseline differ by {quantity(rule.metric, float(np.median(scatter)))} (MAD)"
     if without := len(pairs) - len(known):
         sentence += f"; {without} pairs without {rule.metric} left out"
     if not found.rise and found.detectable > rule.amount:
-        sentence += f"; pairs so few that scatter so much show only a rise of {100.0 * found.detectable:.0f} % reliably"
+        sentence += f"; with this scatter {found.pairs} pairs reliably show +{100.0 * found.detectable:.0f} % only"
     order = [known[i] for i in worst_of(*values)] if found.rise else []
     named = [_named(*pairs[i], *(quantity(rule.metric, value or 0.0) for value in both[i])) for i in order]
     return Verdict(rule.text, found.rise, sentence, found, tuple(named))
 
 
-def paired_sentence(found: Comparison, metric: str, statistic: str, old: Array, new: Array) -> str:
-    """Return a comparison in words: the statistic before and after with its unit, and the change of a typical run."""
+def paired_sentence(found: Comparison, metric: str, statistic: str, old: Array, new: Array, *, rise: float) -> str:
+    """Return a comparison in words: statistic before and after with unit, limit, change of a typical run, and why."""
     before, after = (quantity(metric, float(STATISTICS[statistic](values))) for values in (old, new))
     shown = (found.statistic_ratio, found.ratio, found.low, found.high)
     changes = [f"{100.0 * (ratio - 1.0):+.1f} %" if ratio < 1e6 else "infinite" for ratio in shown]
+    limit, above = f"+{100.0 * rise:.3g} %", found.statistic_ratio > 1.0 + rise
+    why = "below the limit, but one of these rises is significant and above half of it"
+    why = why if found.rise else "above the limit, but not significant (level 1 %)"
     return (
-        f"{statistic} of {metric.removesuffix('_m')}: {before} -> {after} ({changes[0]}); a typical run {changes[1]} "
-        f"(95 % interval {changes[2]} to {changes[3]}), {found.pairs} pairs, p {found.p:.2g}"
+        f"{statistic} of {metric.removesuffix('_m')}: {before} -> {after} ({changes[0]}, limit {limit}); a typical run "
+        f"{changes[1]} (95 % interval {changes[2]} to {changes[3]}), {found.pairs} pairs, p {found.p:.2g}"
+        f"{'' if above is found.rise else f'; {why}'}"
     )
 
 
@@ -361,9 +366,9 @@ def worst_of(old: Array, new: Array) -> list[int]:
 
 
 def _named(old: Mapping[str, Any], new: Mapping[str, Any], before: str, after: str) -> str:
-    file = new.get("source") or old.get("source") or "no file"
     # the way out, after a semicolon, is the same for all runs
     reason = f" ({new['reason'].partition(';')[0]})" if not new["scored"] and new.get("reason") else ""
+    file = new.get("source") or old.get("source") or "no file"
     return f"{new['name']}, seed {new['seed']}, {file}: {before} -> {after}{reason}"
 
 
@@ -379,14 +384,11 @@ def _outcome(rule: Rule, *, failed: bool) -> str:
 
 def _by_pair(report: Mapping[str, Any]) -> dict[tuple[str, int], Mapping[str, Any]]:
     needed = {"name", "seed", "metrics", "scored", "failed"}
-    try:
+    with suppress(KeyError, TypeError, AttributeError):
         runs = {(run["name"], run["seed"]): run for run in report["runs"] if needed <= run.keys()}
-        whole = len(runs) == len(report["runs"])
-    except (KeyError, TypeError, AttributeError):
-        whole = False
-    if not whole:
-        raise ScoreError("the baseline is not a result of score; make one with odomcorrupt score ... --save")
-    return runs
+        if len(runs) == len(report["runs"]):
+            return runs
+    raise ScoreError("the baseline is not a result of score; make one with odomcorrupt score ... --save")
 
 
 def _above(rule: Rule, runs: Mapping[Any, Mapping[str, Any]]) -> Verdict:
@@ -404,7 +406,8 @@ def _above(rule: Rule, runs: Mapping[Any, Mapping[str, Any]]) -> Verdict:
     failed = value > rule.amount
     worst = sorted(errors, key=lambda one: -one[0])[:_WORST] if failed else []
     named = [f"{r['name']}, seed {r['seed']}, {r.get('source')}: {quantity(rule.metric, v)}" for v, r in worst]
-    said = f"{rule.statistic} of {rule.metric.removesuffix('_m')}: {quantity(rule.metric, value)}, {len(errors)} runs"
+    shown = f"{quantity(rule.metric, value)} (limit {quantity(rule.metric, rule.amount)})"
+    said = f"{rule.statistic} of {rule.metric.removesuffix('_m')}: {shown}, {len(errors)} runs"
     return Verdict(rule.text, failed, f"{_outcome(rule, failed=failed)} {said}", runs=tuple(named))
 
 

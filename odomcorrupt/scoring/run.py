@@ -296,9 +296,8 @@ class ScoreReport:
     @property
     def breakdown(self) -> Breakdown:
         """Drift at which 5 % of runs fail, see `statistics.breakdown`."""
-        return breakdown(
-            np.array([run.drift for run in self.runs]), np.array([run.failed for run in self.runs], dtype=bool)
-        )
+        failed = np.array([run.failed for run in self.runs], dtype=bool)
+        return breakdown(np.array([run.drift for run in self.runs]), failed)
 
     @property
     def growth(self) -> Growth | None:
@@ -365,11 +364,9 @@ def score(
 def _require_one_frame(run: RunScore, true_frame: str, align: Alignment) -> None:
     """Refuse to subtract poses in two frames."""
     if align == "none" and run.frame and true_frame and run.frame.strip("/") != true_frame.strip("/"):
-        said = (
-            f"{run.name}: the estimate is in frame {run.frame}, the truth in {true_frame}; name a truth in {run.frame}"
-        )
+        said = f"{run.name}: the estimate is in frame {run.frame}, the truth in {true_frame}; name a truth in"
         way_out = "with --truth, align them with --align rigid, or say --align same if both frames are one"
-        raise ScoreError(f"{said} {way_out}")
+        raise ScoreError(f"{said} {run.frame} {way_out}")
 
 
 def _batches(root: Path) -> list[tuple[str, Path, Path]]:

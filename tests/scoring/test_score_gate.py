@@ -69,24 +69,19 @@ def test_a_failed_rule_names_statistic_unit_and_the_worst_runs():
     worst = int(np.argmax(new / old))
     assert verdict.failed
     assert verdict.sentence.startswith("ate_p90 +20%: FAILED. p90 of ate: ")
-    assert f"{np.quantile(old, 0.9):.3g} m -> {np.quantile(new, 0.9):.3g} m" in verdict.sentence
+    assert f"{np.quantile(old, 0.9):.3g} m -> {np.quantile(new, 0.9):.3g} m (" in verdict.sentence
+    assert ", limit +20 %); a typical run" in verdict.sentence
     assert "40 pairs" in verdict.sentence
     assert verdict.runs[0] == f"run_{worst:06d}, seed 7, run_{worst:06d}.tum: {old[worst]:.3g} m -> {new[worst]:.3g} m"
 
 
 @pytest.mark.parametrize(
     ("rules", "crashes", "failing"),
-    [
-        (["ate_median +20%"], 1, ["crashes"]),
-        (["ate_median +20%", "lost +1"], 1, []),
-        (["ate_median +20%", "lost +1"], 2, ["lost +1"]),
-        (["ate_p90 +20%", "lost +5%"], 1, []),
-        (["ate_p90 +20%", "lost +10%"], 2, ["ate_p90 +20%"]),
-        (["ate_p90 +20%", "lost +50%"], 4, ["ate_p90 +20%"]),
-        (["ate_p90 +20%", "lost +0"], 1, ["lost +0"]),
-        (["ate_p90 +20%", "lost +5%"], 5, ["ate_p90 +20%", "lost +5%"]),
-    ],
-)
+    [(["ate_median +20%"], 1, ["crashes"]), (["ate_median +20%", "lost +1"], 1, []),
+    (["ate_median +20%", "lost +1"], 2, ["lost +1"]), (["ate_p90 +20%", "lost +5%"], 1, []),
+    (["ate_p90 +20%", "lost +10%"], 2, ["ate_p90 +20%"]), (["ate_p90 +20%", "lost +50%"], 4, ["ate_p90 +20%"]),
+    (["ate_p90 +20%", "lost +0"], 1, ["lost +0"]), (["ate_p90 +20%", "lost +5%"], 5, ["ate_p90 +20%", "lost +5%"])],
+)  # fmt: skip
 def test_a_crash_fails_unless_a_rule_allows_it_and_counts_as_an_infinite_error(rules, crashes, failing):
     old, _ = pair(np.random.default_rng(2), 0.0, n=20)
     verdicts = check(result(old, missing=range(crashes)), rules, result(old))
@@ -99,6 +94,14 @@ def test_a_crash_fails_unless_a_rule_allows_it_and_counts_as_an_infinite_error(r
     assert not any(one.failed for one in again)
 
 
+def test_a_verdict_that_the_limit_alone_does_not_explain_says_why():
+    below, above = "below the limit, but one of these rises is", "above the limit, but not significant (level 1 %)"
+    for seed, rise, why in ((3, 0.0, above), (1, 0.25, below)):
+        old, new = pair(np.random.default_rng(seed), rise, n=20)
+        (verdict,) = check(result(new), ["ate_p90 +20%"], result(old))
+        assert (verdict.failed, why in verdict.sentence) == (rise > 0.0, True)
+
+
 def test_losses_are_counted_not_tested():
     values = np.ones(40)
     red, same = (check(result(values, failed=range(n)), ["lost +10%"], result(values))[0] for n in (5, 4))
@@ -109,6 +112,7 @@ def test_losses_are_counted_not_tested():
 def test_an_absolute_rule_needs_no_baseline():
     rules = ["ate_max > 0.5", "lost > 10%", "lost > 1"]
     low, part, count = check(result([0.1, 0.2, 0.3], failed={1}), rules)
+    assert low.sentence == "ate_max > 0.5: passed. max of ate: 0.3 m (limit 0.5 m), 3 runs"
     assert (low.failed, part.failed, count.failed) == (False, True, False)
     assert check(result([0.1, 0.2, 0.3], missing={1}), ["ate_max > 0.5"])[0].failed
 
@@ -144,18 +148,14 @@ def test_repeated_baselines_are_the_median_of_each_run_and_their_scatter_is_said
 def test_few_pairs_say_what_they_can_find():
     old, new = pair(np.random.default_rng(8), 0.0, scatter=0.8, n=12)
     (verdict,) = check(result(new), ["ate_median +20%"], result(old))
-    assert "only a rise of" in verdict.sentence
+    assert "; with this scatter 12 pairs reliably show +" in verdict.sentence
 
 
 @pytest.mark.parametrize(
     ("rule", "said"),
-    [
-        ("ate_p90 20%", "not understood"),
-        ("speed_p90 +20%", "no metric speed_p90"),
-        ("ate_p90 +0%", "more than 0"),
-        ("ate_p90 +0.2", "percentage"),
-    ],
-)
+    [("ate_p90 20%", "not understood"), ("speed_p90 +20%", "no metric speed_p90"),
+    ("ate_p90 +0%", "more than 0"), ("ate_p90 +0.2", "percentage")],
+)  # fmt: skip
 def test_a_rule_that_is_none_is_refused_with_an_example(rule, said):
     with pytest.raises(ScoreError, match=said):
         parse_rule(rule)
