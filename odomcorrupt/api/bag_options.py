@@ -30,6 +30,7 @@ class BagOptions(TypedDict, total=False):
     subtracted : with `new_odom_frame`: publish noisy minus clean poses, as in the article's listing, which is not rigid
     consistent : rewrite wheels, ticks, twists and gyros of known types to the noisy motion, too
     scan_noise, scan_keep : noise of the ranges of laser scans, metres, and part of their beams that is kept, 0 to 1
+    scan_every : keep every N-th laser scan of a publisher, beginning with the first, and leave the others out
     imu : file with the noise of IMUs, as Kalibr has it
     overwrite : replace an existing output
     compression, level : of the output: none, lz4, zstd (MCAP), bz2 (ROS 1), file, message (ROS 2 directories);
@@ -54,6 +55,7 @@ class BagOptions(TypedDict, total=False):
     consistent: bool
     scan_noise: float
     scan_keep: float
+    scan_every: int
     imu: str | PathLike[str] | None
     overwrite: bool
     compression: str | None
@@ -76,10 +78,8 @@ def split_options(options: BagOptions) -> tuple[Options, Container]:
     values: dict[str, Any] = dict(options)
     if values.get("imu") is not None:
         values["imu"] = read_imu(Path(fspath(values["imu"])))
-    return (
-        Options(**{name: value for name, value in values.items() if name in moved}),
-        Container(**{name: value for name, value in values.items() if name not in moved}),
-    )
+    own = {name: values.pop(name) for name in moved & values.keys()}
+    return Options(**own), Container(**values)
 
 
 def bag_path(path: str | PathLike[str]) -> Path | None:

@@ -195,7 +195,10 @@ class BagReader(Protocol):
     name: str
     paths: list[Path]
     complete: bool
-    channels: Mapping[int, Channel]
+
+    @property
+    def channels(self) -> Mapping[int, Channel]:
+        """Return the channels by id."""
 
     @property
     def count(self) -> int:

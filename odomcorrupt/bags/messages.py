@@ -248,6 +248,8 @@ def _wheels(number: str, before: int = 0, count: int = 2) -> Callable[[_Cursor],
     return read
 
 
+SCAN = "sensor_msgs/msg/LaserScan"
+
 PROGRAMS: Mapping[str, Callable[[_Cursor], tuple[Item, ...]]] = {
     "nav_msgs/msg/Odometry": _doubles(
         child=True, position=3, orientation=4, pose_covariance=36, twist=6, twist_covariance=36
@@ -262,7 +264,7 @@ PROGRAMS: Mapping[str, Callable[[_Cursor], tuple[Item, ...]]] = {
     "sensor_msgs/msg/Imu": _doubles(
         orientation=4, _orientation_covariance=9, angular_velocity=3, _covariance=9, linear_acceleration=3
     ),
-    "sensor_msgs/msg/LaserScan": _laser_scan,
+    SCAN: _laser_scan,
     "sensor_msgs/msg/JointState": _joint_state,
     "geometry_msgs/msg/TwistStamped": _doubles(twist=6),
     "geometry_msgs/msg/TwistWithCovarianceStamped": _doubles(twist=6),

@@ -6,7 +6,7 @@ A format is imported only when needed: all of them would add a tenth to the time
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 
 from odomcorrupt.bags.codecs import require_level
 from odomcorrupt.bags.output import Output, is_stream, refuse_target
@@ -175,6 +175,7 @@ def target_of(
     exclude: Sequence[str] = (),
     rename: Sequence[str] = (),
     recover: bool = False,
+    scan_every: int = 1,
 ) -> Target:
     """Return an output, with a reader of the input that yields the messages as the output has them.
 
@@ -182,6 +183,7 @@ def target_of(
     exclude : topics that are left out
     rename : "OLD=NEW" for topics that get another name
     recover : leave out messages that cannot be converted, and list them in the reader's `losses`
+    scan_every : keep every N-th laser scan of a publisher
 
     Raises
     ------
@@ -203,12 +205,13 @@ def target_of(
             f"{name}: --ros 1 would convert messages of ROS 2 to an MCAP of ROS 1 messages, which rosbags-convert and "
             "rosbag refuse to read; end the name in .bag for ROS 1, or leave --ros out"
         )
-    if fits and not exclude and not rename:
+    if fits and not exclude and not rename and scan_every == 1:
         return Target(reader, form)
     # the library takes a fifth of a second to import
     from odomcorrupt.bags.convert.reader import ConvertedReader  # noqa: PLC0415
 
-    converted = ConvertedReader(reader, form.ros, strict=strict, exclude=exclude, rename=rename, recover=recover)
+    asked: Any = {"exclude": exclude, "rename": rename, "recover": recover, "scan_every": scan_every}
+    converted = ConvertedReader(reader, form.ros, strict=strict, **asked)
     return Target(converted, form)
 
 

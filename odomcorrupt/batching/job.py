@@ -213,7 +213,8 @@ class BatchSpec:
             )
         c = self.container
         whole = (("--to", self.to), ("--exclude-topic", c.exclude), ("--rename", c.rename), ("--ros", c.ros),
-                 ("--storage", c.storage), ("--also", self.also), ("--layout split", self.split))  # fmt: skip
+                 ("--storage", c.storage), ("--also", self.also), ("--layout split", self.split),
+                 ("--scan-every", c.scan_every > 1))  # fmt: skip
         for flag in (flag for flag, value in whole if value):
             raise BatchOptionError(f"{flag}: is for whole bags, not for {output}; leave one of them out")
 
@@ -358,7 +359,8 @@ def _require_chunks(source: Path, spec: BatchSpec) -> None:
             )
         modes = {getattr(reader, "mode", "none"), spec.container.compression, "file" if spec.also else None}
     c = spec.container
-    if spec.to is not None or c.exclude or c.rename or c.ros or c.storage or not modes.isdisjoint(("file", "message")):
+    other = spec.to is not None or c.exclude or c.rename or c.scan_every > 1 or c.ros or c.storage
+    if other or not modes.isdisjoint(("file", "message")):
         raise BatchError(
             f"{source}: --layout split needs the chunks of the input, and these runs are written in another way; leave "
             "--layout out"
@@ -375,6 +377,7 @@ def _option_words(options: Options, container: Container) -> list[str]:
         ("--tf", options.new_odom_frame and tf), ("--new-odom-frame", options.new_odom_frame),
         ("--scan-noise", options.scan_noise or None), ("--imu", options.imu and options.imu.file),
         ("--scan-keep", options.scan_keep if options.scan_keep < 1.0 else None),
+        ("--scan-every", container.scan_every if container.scan_every > 1 else None),
         ("--compression", container.compression), ("--level", container.level), ("--ros", container.ros),
         ("--storage", container.storage), *(("--exclude-topic", topic) for topic in container.exclude),
         *(("--rename", words) for words in container.rename),

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from odomcorrupt.api.bag_options import BagOptions
 
 _ALIKE = ("odom_topic", "odom_frame", "base_frame", "keep_truth", "keep_localisation", "new_odom_frame", "consistent",
-          "scan_noise", "scan_keep", "imu", "overwrite", "compression", "level", "storage", "exclude", "rename",
-          "recover", "threads")  # fmt: skip
+          "scan_noise", "scan_keep", "scan_every", "imu", "overwrite", "compression", "level", "storage", "exclude",
+          "rename", "recover", "threads")  # fmt: skip
 """Options with the same name here and in the Python interface."""
 
 _RECOVER = click.option(
@@ -30,14 +30,11 @@ ODOM_TOPIC = ("--odom-topic", "--odom", "odom_topic")
 """Names of the option that selects the odometry."""
 
 frame_options = added(
-    setting(
-        *ODOM_TOPIC,
-        metavar="TOPIC",
-        help="Odometry topic to modify; in a ROS 1 bag TOPIC@NODE for one publisher of it.",
-    ),
+    setting(*ODOM_TOPIC, metavar="TOPIC",
+            help="Odometry topic to modify; in a ROS 1 bag TOPIC@NODE for one publisher of it."),
     setting("--odom-frame", metavar="FRAME", help="Odom frame. [default: that of the odometry]"),
     setting("--base-frame", metavar="FRAME", help="Robot's frame. [default: the odometry's child frame]"),
-)
+)  # fmt: skip
 """Adds the options that select odometry and frames."""
 
 keeping_options = added(
@@ -61,6 +58,8 @@ moving_options = added(
            text="Standard deviation of noise on the ranges of laser scans, metres."),
     valued("--scan-keep", kind=Number("a part of 1", 0.0, 1.0), default=1.0, metavar="PART", cls=Setting,
            text="Part of the beams of laser scans that is kept; the others become NaN."),
+    setting("--scan-every", type=click.IntRange(1), default=1, metavar="N",
+            help="Keep every N-th laser scan of a topic, and leave the others out."),
     click.option("--imu", type=FILE, help="Add the noise in an IMU file of Kalibr to all Imu messages."),
     valued(
         "--tf", among=["odometry", "correction", "subtraction"],

@@ -127,19 +127,22 @@ class Container:
     storage: str | None = None
     exclude: tuple[str, ...] = ()
     rename: tuple[str, ...] = ()
+    scan_every: int = 1
     threads: int | None = field(default=None, compare=False, repr=False)  # does not change the output
 
     @property
     def as_it_was(self) -> bool:
         """Whether an output without changes may be a byte copy of the input."""
         same = self.compression is None and self.level is None
-        return same and not (self.recover or self.exclude or self.rename)
+        return same and not (self.recover or self.exclude or self.rename or self.scan_every > 1)
 
     def target(self, path: Path | None, reader: BagReader) -> Target:
         """Return an output, with a reader of the input that yields the messages as the output has them."""
+        if self.scan_every < 1:
+            raise TopicError(f"scan_every: {self.scan_every}; 1 keeps all laser scans, 2 every second one")
         return target_of(
             path, reader, ros=self.ros, storage=self.storage, exclude=self.exclude, rename=self.rename,
-            recover=self.recover,
+            recover=self.recover, scan_every=self.scan_every,
         )  # fmt: skip
 
     def writer(self, path: Path | None, output: Target, workers: Workers | None = None) -> BagWriter:
@@ -168,6 +171,7 @@ class Outcome:
     stayed : topics of the TF edges that are not moved, "parent -> child"; true_edges : those with the true motion
     faults : counts of unusable odometry poses
     remarks : what the output's message types cannot hold, in sentences
+    scans : number of laser scans that are kept, by topic, where others are left out
     others : results of the other robots corrupted in the same pass
     """
 
@@ -192,6 +196,7 @@ class Outcome:
     true_edges: frozenset[str] = frozenset()
     faults: PoseFaults = field(default_factory=PoseFaults)
     remarks: tuple[str, ...] = ()
+    scans: Mapping[str, int] = field(default_factory=dict)
     others: tuple[Outcome, ...] = ()
 
     @property
@@ -268,8 +273,6 @@ def corrupt_bag(
                     watch(block)
                 for robot in robots:
                     robot.require_source()
-                for msgtype in transform.run.noise.msgtypes - {reader.channels[one].msgtype for one in transform.seen}:
-                    raise TopicError(f"the bag has no {msgtype}; leave --scan-noise, --scan-keep or --imu out")
                 if not is_identity:
                     more = dict(metadata or {}) | ({"also": " ".join(also)} if also else {})
                     writer.provenance("odomcorrupt", provenance(model, seed=seed, run=run) | more)
@@ -306,7 +309,7 @@ def outcome_of(transform: Transform, reader: BagReader, model: MotionModel, *, s
         unusable=transform.unusable, zero_stamps=odometry.zero_stamps, faults=odometry.faults,
         added=_added(transform), placed=transform.placed, stayed=dict(transform.stayed),
         true_edges=frozenset(transform.true_edges), losses=tuple(reader.losses),
-        remarks=tuple(getattr(reader, "remarks", ())),
+        remarks=tuple(getattr(reader, "remarks", ())), scans=dict(getattr(reader, "scans", {})),
     )  # fmt: skip
 
 

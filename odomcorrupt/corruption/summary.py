@@ -119,6 +119,7 @@ def _counted(outcome: Outcome) -> str:
     topics = [f"{topic} {count}" for topic, count in sorted(changes.odometry.items())]
     topics += [f"{topic} consistent with it" for topic in sorted(changes.sensors)]
     topics += [f"{topic} {count} with noise" for topic, count in sorted(changes.noisy.items())]
+    topics += [f"{topic} {count} scans kept" for topic, count in sorted(outcome.scans.items())]
     edges = [f"TF {edge} {count}" for edge, count in sorted(changes.edges.items())]
     none = [] if edges or outcome.added else [f"no transform from {outcome.frames.odom}"]
     return ", ".join([*topics, *edges, *none, *(f"{count} {what} added" for what, count in outcome.added.items())])
@@ -155,6 +156,7 @@ def moved_words(outcome: Outcome) -> str:
     topics = [f"{count} messages on {topic}" for topic, count in sorted(outcome.changes.odometry.items())]
     topics += [f"{topic} to be consistent" for topic in sorted(outcome.changes.sensors)]
     topics += [f"{count} messages on {topic} by noise" for topic, count in sorted(outcome.changes.noisy.items())]
+    topics += [f"{count} scans on {topic} kept, the others left out" for topic, count in sorted(outcome.scans.items())]
     edges = [f"{count} transforms {edge}" for edge, count in sorted(outcome.changes.edges.items())]
     stayed = sorted(outcome.stayed)
     more = f" and {len(stayed) - MOST_EDGES} more" if len(stayed) > MOST_EDGES else ""

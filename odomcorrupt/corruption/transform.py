@@ -261,6 +261,7 @@ class Transform:
         self.odometry = OdometrySource(asked.odom_topic, asked.odom_frame, asked.base_frame, model.odometry_topic)
         self.unusable = 0
         self.seen: set[int] = set()
+        self._met: set[str] = set()
         self.placed: dict[int, str] = {}
         self.stayed: dict[str, str] = {}
         self.true_edges: set[str] = set()
@@ -273,6 +274,8 @@ class Transform:
     def require_source(self) -> None:
         """Raise TopicError where the requested frame is nowhere, or the poses read are not those of a planar robot."""
         faults = self.odometry.faults
+        for msgtype in self.run.noise.msgtypes - self._met:
+            raise TopicError(f"the bag has no {msgtype}; leave --scan-noise, --scan-keep or --imu out")
         if faults.order.w_first:
             raise TopicError(f"{self.odometry.name}: {W_FIRST}{self.odometry.elsewhere}")
         if faults.paths.alternates:
@@ -368,6 +371,7 @@ class Transform:
             if frame is not None:
                 self.placed[number] = frame
         self.seen |= present
+        self._met |= {reader.channels[number].msgtype for number in present}
         parts = []
         for number in sorted(present):
             channel = reader.channels[number]

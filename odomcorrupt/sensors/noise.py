@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.bags.messages import gather, scatter
+from odomcorrupt.bags.messages import SCAN, gather, scatter
 from odomcorrupt.bags.rosbag2.bounded_yaml import load_yaml
 from odomcorrupt.errors import ModelError
 from odomcorrupt.input_files import read_input
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.messages import Layout
     from odomcorrupt.geometry.se2 import Array
 
-SCAN, IMU = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Imu"
+IMU = "sensor_msgs/msg/Imu"
 
 
 class ImuNoise(NamedTuple):

@@ -203,16 +203,12 @@ NO_SUMMARY = {
     "index_types": IndexType.NONE,
 }
 VARIANTS = {
-    "zstd": {},
-    "lz4": {"compression": CompressionType.LZ4},
-    "none": {"compression": CompressionType.NONE},
-    "unchunked": {"use_chunking": False},
-    "without indexes": {"index_types": IndexType.NONE},
-    "without summary": NO_SUMMARY,
-    "unchunked, without summary": {"use_chunking": False, **NO_SUMMARY},
+    "zstd": {}, "lz4": {"compression": CompressionType.LZ4}, "none": {"compression": CompressionType.NONE},
+    "unchunked": {"use_chunking": False}, "without indexes": {"index_types": IndexType.NONE},
+    "without summary": NO_SUMMARY, "unchunked, without summary": {"use_chunking": False, **NO_SUMMARY},
     "without channels in the summary": {"repeat_channels": False, "repeat_schemas": False},
     "without checksums": {"enable_crcs": False},
-}
+}  # fmt: skip
 """Kinds of MCAP that the mcap library's writer can be asked for."""
 
 

@@ -329,15 +329,10 @@ def test_several_inputs_that_are_no_recording_are_refused_with_the_way_out(tmp_p
 
 
 NAMES = {
-    "/lidar/bottom/1_2v": "/lidar/bottom/_1_2v",
-    "/camera-1/info": "/camera_1/info",
-    "/device_0/Enable Auto Exposure": "/device_0/Enable_Auto_Exposure",
-    "/a//b": "/a/b",
-    "/tail/": "/tail",
-    "/plain": "/plain",
-    "/camera_1/info": "/camera_1/info",
-    "/~own": "/_own",
-}
+    "/lidar/bottom/1_2v": "/lidar/bottom/_1_2v", "/camera-1/info": "/camera_1/info",
+    "/device_0/Enable Auto Exposure": "/device_0/Enable_Auto_Exposure", "/a//b": "/a/b", "/tail/": "/tail",
+    "/plain": "/plain", "/camera_1/info": "/camera_1/info", "/~own": "/_own",
+}  # fmt: skip
 
 
 def test_names_that_ros_2_forbids_are_said_and_renamed_and_distinct(tmp_path, capsys):

@@ -21,17 +21,14 @@ HOSTILE = {
     "deep map": ("a: " + "{b: " * 400 + "}" * 400, "nested more than"),
     "deep block": ("".join(" " * k + "a:\n" for k in range(400)), "nested more than"),
     "list as a key": ("? [a, b]\n: 1\n", "a key is a list or a map"),
-    "map as a key": ("{{a: 1}: 2}", "a key is a list or a map"),
-    "aliases": (BOMB, "more than 1000 entries"),
+    "map as a key": ("{{a: 1}: 2}", "a key is a list or a map"), "aliases": (BOMB, "more than 1000 entries"),
     "aliases, merged": (BOMB.replace("[", "{<<: [").replace("]", "]}"), "entries|nested|list or a map|expected"),
-    "itself": ("a: &a [*a]", "part of"),
-    "nobody": ("a: *a", "for nothing|undefined"),
+    "itself": ("a: &a [*a]", "part of"), "nobody": ("a: *a", "for nothing|undefined"),
     "many keys": ("".join(f"k{k}: 1\n" for k in range(600)), "more than 1000 entries"),
     "a tag": ("a: !!python/object/apply:os.system [true]", "metadata.yaml"),
-    "a date": ("a: 2001-99-99", "metadata.yaml|month"),
-    "a number": ("a: " + "9" * 10_000, "metadata.yaml|digits"),
+    "a date": ("a: 2001-99-99", "metadata.yaml|month"), "a number": ("a: " + "9" * 10_000, "metadata.yaml|digits"),
     "a zero byte": ("a: \0", "special characters|unacceptable"),
-}
+}  # fmt: skip
 
 
 @pytest.fixture

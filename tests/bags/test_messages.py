@@ -130,21 +130,17 @@ def block_of(messages, lead=3):
 PATHS = {
     "imu orientation": "orientation.x orientation.y orientation.z orientation.w",
     "stamped twist": " ".join(f"twist.{part}.{axis}" for part in ("linear", "angular") for axis in "xyz"),
-    "limits": "range_min range_max",
-    "ranges": "ranges",
+    "limits": "range_min range_max", "ranges": "ranges",
     "linear_acceleration": "linear_acceleration.x linear_acceleration.y linear_acceleration.z",
     "angular_velocity": "angular_velocity.x angular_velocity.y angular_velocity.z",
-    "lla": "latitude longitude altitude",
-    "covariance": "position_covariance",
+    "lla": "latitude longitude altitude", "covariance": "position_covariance",
     "twist": " ".join(f"twist.twist.{part}.{axis}" for part in ("linear", "angular") for axis in "xyz"),
-    "twist_covariance": "twist.covariance",
-    "pose_covariance": "pose.covariance",
+    "twist_covariance": "twist.covariance", "pose_covariance": "pose.covariance",
     "transform position": "transform.translation.x transform.translation.y transform.translation.z",
     "transform orientation": "transform.rotation.x transform.rotation.y transform.rotation.z transform.rotation.w",
-    "point position": "point.x point.y point.z",
-    "pose position": "position.x position.y position.z",
+    "point position": "point.x point.y point.z", "pose position": "position.x position.y position.z",
     "pose orientation": "orientation.x orientation.y orientation.z orientation.w",
-}
+}  # fmt: skip
 
 
 def oracle(message, field, index=0):

@@ -20,32 +20,24 @@ def channel(number, topic, msgtype, encoding="cdr"):
 @pytest.mark.parametrize(
     ("topic", "msgtype", "tells"),
     [
-        ("/imu", "sensor_msgs/msg/Imu", True),
-        ("/joint_states", "sensor_msgs/msg/JointState", True),
-        ("/plan", "nav_msgs/msg/Path", True),
-        ("/amcl_pose", "geometry_msgs/msg/PoseWithCovarianceStamped", True),
-        ("/turtle1/pose", "turtlesim/msg/Pose", True),
-        ("/gazebo/model_states", "gazebo_msgs/msg/ModelStates", True),
+        ("/imu", "sensor_msgs/msg/Imu", True), ("/joint_states", "sensor_msgs/msg/JointState", True),
+        ("/plan", "nav_msgs/msg/Path", True), ("/amcl_pose", "geometry_msgs/msg/PoseWithCovarianceStamped", True),
+        ("/turtle1/pose", "turtlesim/msg/Pose", True), ("/gazebo/model_states", "gazebo_msgs/msg/ModelStates", True),
         ("/global_costmap/costmap", "nav_msgs/msg/OccupancyGrid", True),
-        ("/map", "nav_msgs/msg/OccupancyGrid", False),
-        ("/scan", "sensor_msgs/msg/LaserScan", False),
-        ("/cmd_vel", "geometry_msgs/msg/TwistStamped", False),
-        ("/goal_pose", "geometry_msgs/msg/PoseStamped", False),
-        ("/odom", "nav_msgs/msg/Odometry", False),
-        ("/wheel/odom", "nav_msgs/msg/Odometry", True),
+        ("/map", "nav_msgs/msg/OccupancyGrid", False), ("/scan", "sensor_msgs/msg/LaserScan", False),
+        ("/cmd_vel", "geometry_msgs/msg/TwistStamped", False), ("/goal_pose", "geometry_msgs/msg/PoseStamped", False),
+        ("/odom", "nav_msgs/msg/Odometry", False), ("/wheel/odom", "nav_msgs/msg/Odometry", True),
         ("/wheel_ticks", "irobot_create_msgs/msg/WheelTicks", True),
         ("/wheel_vels", "irobot_create_msgs/msg/WheelVels", True),
         ("/wheel_status", "irobot_create_msgs/msg/WheelStatus", True),
         ("/encoders", "acme_msgs/msg/EncoderStamped", True),
         ("/sensor_state", "turtlebot3_msgs/msg/SensorState", True),
         ("/fmu/out/vehicle_odometry", "px4_msgs/msg/VehicleOdometry", True),
-        ("/fmu/out/vehicle_status", "px4_msgs/msg/VehicleStatus", False),
-        ("/left_ticks", "std_msgs/msg/Int32", True),
-        ("/left_wheel_speed", "std_msgs/msg/Float32", True),
-        ("/left_wheel_speed_cmd", "std_msgs/msg/Float32", False),
+        ("/fmu/out/vehicle_status", "px4_msgs/msg/VehicleStatus", False), ("/left_ticks", "std_msgs/msg/Int32", True),
+        ("/left_wheel_speed", "std_msgs/msg/Float32", True), ("/left_wheel_speed_cmd", "std_msgs/msg/Float32", False),
         ("/temperature", "std_msgs/msg/Float32", False),
     ],
-)
+)  # fmt: skip
 def test_the_type_tells(topic, msgtype, tells):
     assert topics_with_true_motion([channel(1, topic, msgtype)], {"/odom"}, {}, "odom") == ([topic] if tells else [])
 

@@ -19,19 +19,10 @@ def motion(v, omega, seconds=1.0, *, track=None, heading=0.0, xy=(0.0, 0.0), vy=
     faster = accelerations(np.stack((v, vy, omega), axis=1), dt)
     poses = accumulate(np.array([*xy, heading]), Increments(v * dt, vy * dt, omega * dt))
     return Motion(
-        t_s=np.cumsum(dt),
-        dt_s=dt,
-        v=v,
-        vy=vy,
-        omega=omega,
-        acceleration=faster.rate,
-        trail=faster.trail,
-        x=poses[:-1, 0].copy(),
-        y=poses[:-1, 1].copy(),
-        theta=poses[:-1, 2].copy(),
-        distance=np.cumsum(np.hypot(v, vy) * dt),
-        track_m=track,
-    )
+        t_s=np.cumsum(dt), dt_s=dt, v=v, vy=vy, omega=omega, acceleration=faster.rate, trail=faster.trail,
+        x=poses[:-1, 0].copy(), y=poses[:-1, 1].copy(), theta=poses[:-1, 2].copy(),
+        distance=np.cumsum(np.hypot(v, vy) * dt), track_m=track,
+    )  # fmt: skip
 
 
 def error(name, values, drive):

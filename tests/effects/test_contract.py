@@ -130,21 +130,18 @@ NOISE = {"start": begins, "moments": twice_too_small}
 @pytest.mark.parametrize(
     ("methods", "facts", "complaint"),
     [
-        ({"twist_error": restless}, {}, "not zero at its identity"),
-        ({"twist_error": infinite}, {}, "not finite"),
+        ({"twist_error": restless}, {}, "not zero at its identity"), ({"twist_error": infinite}, {}, "not finite"),
         ({"twist_error": meddling}, {}, "changes v of the motion"),
-        ({"twist_error": forgetful}, {}, "cut into pieces of 1"),
-        ({"twist_error": placeless}, {}, "reads_places"),
+        ({"twist_error": forgetful}, {}, "cut into pieces of 1"), ({"twist_error": placeless}, {}, "reads_places"),
         ({"twist_error": placeless}, {"reads_places": True}, "reads_truth"),
         ({"by_rows": halved}, {}, "by single intervals"),
         ({"start": random_from_the_start, "twist_error": scaled_by_state}, {}, "draws, but its kind"),
         ({"plain": blunt}, {}, "in plain words"),
         ({"twist_error": wasteful, **NOISE}, {"kind": "noise"}, "changes the state"),
-        ({"twist_error": seedless, **NOISE}, {"kind": "noise"}, "stated variance"),
-        ({}, {"summary": ""}, "summary"),
+        ({"twist_error": seedless, **NOISE}, {"kind": "noise"}, "stated variance"), ({}, {"summary": ""}, "summary"),
         ({}, {"kind": "oddity"}, "kind"),
     ],
-)
+)  # fmt: skip
 def test_the_contract_notices(methods, facts, complaint):
     with pytest.raises(ContractError, match=re.escape(complaint)):
         check_effect(variant(methods, **facts))

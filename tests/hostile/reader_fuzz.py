@@ -100,14 +100,10 @@ class ReaderFuzz:
         self._pieces = list(self.inputs.bags.values())
         self.trials: dict[str, Callable[[Rng], str]] = {
             **{f"bag {kind}": self._bag_of(data) for kind, data in self.inputs.bags.items()},
-            "chunk of mcap": partial(self._contents, "mcap"),
-            "chunk of ros1": partial(self._contents, "ros1"),
-            "codec": self._codec,
-            "message": self._message,
-            "record": self._record,
-            "summary": self._summary,
+            "chunk of mcap": partial(self._contents, "mcap"), "chunk of ros1": partial(self._contents, "ros1"),
+            "codec": self._codec, "message": self._message, "record": self._record, "summary": self._summary,
             "sqlite3": self._sqlite3,
-        }
+        }  # fmt: skip
         self.kinds = list(self.trials)
         self.counts: Counter[str] = Counter()
 

@@ -32,19 +32,14 @@ MODELS = {
     "10 000 effects of the set-up": NOISE + "[[setup.effect]]\nname='clock_skew'\n" * 10_000,
     "steps of a nanometre": NOISE.replace("[noise]\n", '[noise]\nlaw = "quadratic"\nstep = "1e-9m"\n'),
     "steps of a nanoradian": NOISE.replace("[noise]\n", '[noise]\nlaw = "linear"\nstep = "1e-9rad"\n'),
-    "nested signs": effect("~" * 900 + "v"),
-    "nested attributes": effect("v" + ".a" * 480),
-    "nested brackets": effect("(" * 450 + "v" + ")" * 450),
-    "a power of powers": effect("k * v**9**9**9**9"),
-    "a huge exponent": effect("k * v**-" + "9" * 900),
-    "a long sum": effect("+".join(["k * v"] * 150)),
-    "a long schema": f'schema = "{LONG}"\n',
-    "a long name": f'{NOISE}[[effect]]\nname = "{LONG}"\n',
-    "a long key": f"{NOISE}{LONG} = 1\n",
-    "a long number": NOISE.replace("0.1", f'"{LONG}"'),
+    "nested signs": effect("~" * 900 + "v"), "nested attributes": effect("v" + ".a" * 480),
+    "nested brackets": effect("(" * 450 + "v" + ")" * 450), "a power of powers": effect("k * v**9**9**9**9"),
+    "a huge exponent": effect("k * v**-" + "9" * 900), "a long sum": effect("+".join(["k * v"] * 150)),
+    "a long schema": f'schema = "{LONG}"\n', "a long name": f'{NOISE}[[effect]]\nname = "{LONG}"\n',
+    "a long key": f"{NOISE}{LONG} = 1\n", "a long number": NOISE.replace("0.1", f'"{LONG}"'),
     "many signs": NOISE.replace("0.1", '"' + "1 +- " * 150_000 + '"'),
     "a large correlation": NOISE + f"[fit.correlation]\nparameters = ['a']\nmatrix = [{'[1],' * 100_000}]\n",
-}
+}  # fmt: skip
 
 KEYS = "image: p.pgm\nresolution: {}\norigin: [-5, -5, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
 SMALL = b"P5\n200 200\n255\n" + b"\xfe" * 40_000

@@ -20,7 +20,7 @@ SETTINGS = {
     "add", "alpha", "law", "twist-noise", "step", "preset", "effect", "track", "seed", "odom-topic", "odom",
     "odom-frame", "base-frame", "map-pose", "robot-radius", "truth", "truth-shift", "scan", "laser-scale-accuracy",
     "imu", "gyro-scale-accuracy", "joints", "drive-type", "laser-pose", "max-yaw-rate", "estimate",
-    "scan-noise", "scan-keep",
+    "scan-noise", "scan-keep", "scan-every",
 }  # fmt: skip
 
 

@@ -19,17 +19,10 @@ def _bytes(store, message):
 
 def scan(ranges, store=ROS2, stamp_ns=5_000_000_007, frame="laser", time_step=1e-3):
     message = store.types["sensor_msgs/msg/LaserScan"](
-        header=_header(store, stamp_ns, frame),
-        angle_min=-0.5,
-        angle_max=0.5,
-        angle_increment=0.25,
-        time_increment=time_step,
-        scan_time=0.1,
-        range_min=0.1,
-        range_max=10.0,
-        ranges=np.asarray(ranges, dtype=np.float32),
-        intensities=np.ones(2, dtype=np.float32),
-    )
+        header=_header(store, stamp_ns, frame), angle_min=-0.5, angle_max=0.5, angle_increment=0.25,
+        time_increment=time_step, scan_time=0.1, range_min=0.1, range_max=10.0,
+        ranges=np.asarray(ranges, dtype=np.float32), intensities=np.ones(2, dtype=np.float32),
+    )  # fmt: skip
     return _bytes(store, message)
 
 

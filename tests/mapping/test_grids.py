@@ -67,20 +67,16 @@ def test_modes_mean_what_map_server_means(tmp_path, extra, states):
 @pytest.mark.parametrize(
     ("yaml", "pgm", "word"),
     [
-        ("image: m.pgm\n", b"", "resolution"),
-        (YAML.replace("0.1", "-1"), PGM, "resolution"),
+        ("image: m.pgm\n", b"", "resolution"), (YAML.replace("0.1", "-1"), PGM, "resolution"),
         (YAML.replace("0.65", "0.2"), PGM, "occupied_thresh 0.2"),
         (YAML.replace("0.1", "!!python/object:os.system"), PGM, "number"),
         (YAML.replace("[-1.0, 2.0, 0]", "[1, 2]"), PGM, "x, y, yaw"),
         (YAML.replace("m.pgm", "/dev/zero"), PGM, "outside of the map"),
-        (YAML.replace("m.pgm", "gone.pgm"), PGM, "No such file"),
-        (YAML + "mode: odd\n", PGM, "trinary"),
-        (YAML, b"\x89PNG....", "PGM"),
-        (YAML, b"P5 900000000 900000000 255\n\x00", "at most 50,000,000"),
-        (YAML, b"P5 2 2 65535\n" + bytes(8), "damaged"),
-        (YAML, b"P5 0 2 255\n" + bytes(8), "damaged"),
+        (YAML.replace("m.pgm", "gone.pgm"), PGM, "No such file"), (YAML + "mode: odd\n", PGM, "trinary"),
+        (YAML, b"\x89PNG....", "PGM"), (YAML, b"P5 900000000 900000000 255\n\x00", "at most 50,000,000"),
+        (YAML, b"P5 2 2 65535\n" + bytes(8), "damaged"), (YAML, b"P5 0 2 255\n" + bytes(8), "damaged"),
     ],
-)
+)  # fmt: skip
 def test_map_that_makes_no_sense_is_reported_in_one_sentence(tmp_path, yaml, pgm, word):
     with pytest.raises(MapError, match=word):
         read_map(written(tmp_path, yaml, pgm))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as Ros1LibraryWriter
 from rosbags.typesys import Stores, get_typestore
@@ -114,7 +116,43 @@ def test_the_noise_depends_on_the_seed_alone(tmp_path):
     assert (tmp_path / "full" / "run_000000.mcap").read_bytes() == (tmp_path / "one.mcap").read_bytes()
 
 
+@pytest.mark.parametrize(("source", "name"), [
+    ("office.mcap", "o.mcap"), ("office.mcap", "o.bag"), ("office.bag", "o.bag"), ("office.bag", "o"),
+    ("office_ros2", "o"), ("office_ros2", "o.db3"), ("office_ros2", "o.mcap"),
+])  # fmt: skip
+@pytest.mark.parametrize("recover", [False, True])
+def test_every_third_scan_is_kept_and_has_the_errors_that_it_has_among_all(source, name, recover, tmp_path):
+    every = corrupted(tmp_path / f"all_{name}", source, scan_noise=STD_M, scan_keep=KEEP)
+    odomcorrupt.corrupt(FIXTURES / source, tmp_path / name, model=STILL, seed=5, scan_noise=STD_M, scan_keep=KEEP,
+                        scan_every=3, recover=recover)  # fmt: skip
+    thinned = read(tmp_path / name)
+    assert {topic: [m[:2] for m in rows] for topic, rows in thinned.items()} == {
+        topic: [m[:2] for m in rows[:: 3 if topic == "/scan" else 1]] for topic, rows in every.items()
+    }
+    with AnyReader([tmp_path / name], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:  # by its indexes
+        assert {c.topic: c.msgcount for c in reader.connections} == {t: len(rows) for t, rows in thinned.items()}
+    if name.endswith(".mcap") and source.endswith(".mcap"):
+        bags = (FIXTURES / source).read_bytes(), (tmp_path / name).read_bytes()
+        was, now = (list(make_reader(io.BytesIO(bag)).iter_messages()) for bag in bags)
+        times = [(c.topic, m.sequence, m.publish_time) for _, c, m in was if c.topic != "/scan"]
+        assert [(c.topic, m.sequence, m.publish_time) for _, c, m in now if c.topic != "/scan"] == times
+
+
+def test_a_batch_and_a_pipe_keep_the_same_scans(tmp_path, monkeypatch, capsys):
+    words = ["--seed", "5", "--odom", "/odom", "--scan-every", "4"]
+    assert run([str(FIXTURES / "office.mcap"), str(tmp_path / "one.mcap"), *words]) == 0
+    assert "/scan 75 scans kept" in capsys.readouterr().err
+    assert run(["batch", str(FIXTURES / "office.mcap"), str(tmp_path / "runs"), "--runs", "1", *words]) == 0
+    assert (tmp_path / "runs" / "run_000000.mcap").read_bytes() == (tmp_path / "one.mcap").read_bytes()
+    with (FIXTURES / "office.mcap").open("rb") as stream:
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(stream))
+        assert run(["-", str(tmp_path / "piped.mcap"), *words]) == 0
+    assert (tmp_path / "piped.mcap").read_bytes() == (tmp_path / "one.mcap").read_bytes()
+
+
 @pytest.mark.parametrize(("words", "code", "said"), [
+    (["--scan-every", "2", "--exclude-topic", "/scan"], 1, "has no sensor_msgs/msg/LaserScan"),
+    (["--scan-every", "0"], 2, "x>=1"),
     (["--scan-noise", "-0.1"], 2, "write metres"), (["--scan-keep", "1.2"], 2, "at most 1"),
     (["--scan-keep", "0.5", "--exclude-topic", "/scan"], 1, "no sensor_msgs/msg/LaserScan"),
     (["--imu", "none.yaml"], 1, "No such file"), (["--imu", "a: ["], 1, "is no YAML"),

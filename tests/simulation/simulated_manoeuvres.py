@@ -24,15 +24,9 @@ CIRCLE_RIGHT = (REST, Segment(0.6, -0.5, 40.0))
 
 def silent(cause, parameters, route, duration_s=28.0, seed=5, **options):
     return simulate(
-        seed,
-        cause,
-        parameters=parameters,
-        route=route,
-        duration_s=duration_s,
-        rig=FLAWLESS_RIG,
-        truth=FLAWLESS_TRACKER,
-        **options,
-    )
+        seed, cause, parameters=parameters, route=route, duration_s=duration_s, rig=FLAWLESS_RIG,
+        truth=FLAWLESS_TRACKER, **options,
+    )  # fmt: skip
 
 
 def from_start(stamps_ns, xyt, at_ns):

@@ -37,15 +37,8 @@ from odomcorrupt.testing import contract_drive
 SEEDS = (*range(100, 109), 113)
 """These draw every cause but unequal wheels, which test_library.py has."""
 CAUSES = (
-    "gyro_bias",
-    "lever_arm",
-    "mount_yaw",
-    "side_slip",
-    "time_offset",
-    "unequal_wheels",
-    "wheel_scale",
-    "wheelbase",
-)
+    "gyro_bias", "lever_arm", "mount_yaw", "side_slip", "time_offset", "unequal_wheels", "wheel_scale", "wheelbase",
+)  # fmt: skip
 
 
 def first_name(learned) -> str | None:

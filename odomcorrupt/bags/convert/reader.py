@@ -98,10 +98,13 @@ class ConvertedReader(RewrittenReader):
 
     def __init__(
         self, reader: BagReader, ros: Generation | None, *, strict: bool = False, exclude: Sequence[str] = (), rename:
-        Sequence[str] = (), recover: bool = False,
+        Sequence[str] = (), recover: bool = False, scan_every: int = 1,
     ) -> None:  # fmt: skip
-        ros1 = ros == 1 or (ros is None and all(one.encoding == "ros1" for one in reader.channels.values()))
-        super().__init__(reader, "ros1" if ros1 else "sqlite3", recover=recover)
+        # a pipe states its profile before its channels
+        stated = "ros1" if reader.kind == "ros1" or getattr(reader, "header", b"")[4:8] == b"ros1" else ""
+        encodings = {one.encoding for one in reader.channels.values()} or {stated}
+        ros1 = ros == 1 or (ros is None and encodings == {"ros1"})
+        super().__init__(reader, "ros1" if ros1 else "sqlite3", recover=recover, scan_every=scan_every)
         self._ros = ros
         self._strict = strict
         known = reader.channels.values() if reader.complete else None

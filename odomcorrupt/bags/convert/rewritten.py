@@ -1,18 +1,19 @@
-"""A bag whose messages are rewritten one by one while it is read."""
+"""A bag whose messages are rewritten one by one, or left out, while it is read."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
-from odomcorrupt.bags.block import TABLE, Block, Channel, Framing, Kind, joined
+from odomcorrupt.bags.block import Block, Channel, Framing, Kind, joined, with_ids
+from odomcorrupt.bags.messages import SCAN
 from odomcorrupt.bags.record_reader import loss_of
-from odomcorrupt.errors import BagError
+from odomcorrupt.errors import BagError, TopicError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterator
+    from collections.abc import Callable, Container, Iterator, Mapping
     from pathlib import Path
 
     from odomcorrupt.bags.block import BagReader, Definition
@@ -35,19 +36,35 @@ class RewrittenReader:
     """Base class of readers that rewrite the messages of another one; see `BagReader`.
 
     kind : that of a plain bag of such messages
+    scan_every : N, of each publisher's laser scans the first and every N-th one after it are read
+    scans : number of scans read in the last pass by topic, if some are left out
     """
 
-    def __init__(self, reader: BagReader, kind: Kind, *, recover: bool = False) -> None:
+    def __init__(self, reader: BagReader, kind: Kind, *, recover: bool = False, scan_every: int = 1) -> None:
         self.kind: Kind = kind
         self.name = reader.name
         self.paths: list[Path] = reader.paths
         self.complete = reader.complete
         self.count = 0
-        self.channels: Mapping[int, Channel] = _Channels(self)
+        self.scans: Counter[str] = Counter()
         self.reader = reader
         self._recover = recover
+        self._every = scan_every
+        self._met: Counter[int] = Counter()
         self._lost: list[str] = []
         self._rules: dict[int, Rule | None] = {}
+        self._channels: dict[int, Channel] = {}
+        self._told = 0
+
+    @property
+    def channels(self) -> Mapping[int, Channel]:
+        """The channels, of which a pipe tells while it is read."""
+        if self._told < len(self.reader.channels):
+            self._told = len(self.reader.channels)
+            self._channels = {
+                n: r.channel for n in self.reader.channels if (r := self.rule_of(n)) and r.channel.id == n
+            }
+        return self._channels
 
     def rule(self, channel: Channel) -> Rule | None:
         """Return what becomes of a channel of the other reader; None leaves it out."""
@@ -77,77 +94,59 @@ class RewrittenReader:
 
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
         """Yield the blocks with their messages rewritten, those of channels outside `only` perhaps without data."""
-        self.count = 0
+        self.count, self._met, self.scans = 0, Counter(), Counter()
         self._lost.clear()
-        wanted = None if only is None else {one for one in self.reader.channels if self._target(one) in only}
+        wanted = None
+        if only is not None:
+            wanted = {n for n in self.reader.channels if (rule := self.rule_of(n)) and rule.channel.id in only}
         for block in joined(self.reader.blocks(wanted)):
-            yield self._rewritten(block, wanted)
-
-    def _target(self, number: int) -> int | None:
-        rule = self.rule_of(number)
-        return None if rule is None else rule.channel.id
+            done = self._rewritten(block, wanted)
+            self.count += len(done.table)
+            if len(done.table) or not len(block.table):  # without messages: attachments and metadata of an MCAP
+                yield done
+        if self._every > 1 and all(channel.msgtype != SCAN for channel in self.channels.values()):
+            raise TopicError(f"{self.name}: has no {SCAN}, of which --scan-every leaves some out; do without it")
 
     def _rewritten(self, block: Block, wanted: Container[int] | None) -> Block:
-        if not len(block.table):
-            return Block(block.data, block.table, block.raw)  # attachments and metadata of an MCAP
-        view = block.data.data
+        rules = {number: rule for number in block.present() if (rule := self.rule_of(number)) is not None}
+        kept = np.isin(block.table["channel"], list(rules))
+        for number, rule in rules.items() if self._every > 1 else ():
+            if rule.channel.msgtype == SCAN:
+                own = np.flatnonzero(block.table["channel"] == number)
+                kept[own] = (self._met[number] + np.arange(len(own))) % self._every == 0
+                self._met[number] += len(own)
+                self.scans[rule.channel.topic] += int(np.count_nonzero(kept[own]))
+        rewrites = {n: rule.rewrite for n, rule in rules.items() if rule.rewrite and (wanted is None or n in wanted)}
         pieces: list[bytes | memoryview] = []
-        rows: list[tuple[int, int, int, int]] = []
-        ends: list[int] = []
-        borders = list(block.ends[:-1])
-        at = 0
-        for number, log_ns, offset, length in block.table.tolist():
-            while borders and offset >= borders[0]:
-                borders.pop(0)
-                ends.append(at)
-            rule = self._rules[number] if number in self._rules else self.rule_of(number)
-            if rule is None:
-                continue
+        view, cells = block.data.data, block.table.tolist() if rewrites else []
+        for row in np.flatnonzero(kept).tolist() if rewrites else ():
+            number, _, offset, length = cells[row]
             piece: bytes | memoryview | None = view[offset : offset + length]
-            if rule.rewrite is not None and (wanted is None or number in wanted):
+            if number in rewrites:
                 try:
-                    piece = rule.rewrite(view[offset : offset + length])
+                    piece = rewrites[number](view[offset : offset + length])
                 except BagError as error:
                     if not self._recover:
                         raise
                     self._lost.append(loss_of(error))
-                    continue
+                    piece = None
             if piece is None:
-                continue
-            pieces.append(piece)
-            rows.append((rule.channel.id, log_ns, at, len(piece)))
-            at += len(piece)
-        self.count += len(rows)
+                kept[row] = False
+            else:
+                pieces.append(piece)
+        table = with_ids(block.table[kept], lambda number: rules[number].channel.id)
+        stops = np.concatenate(([0], np.cumsum(kept)))[np.searchsorted(block.table["offset"], block.ends)]
+        if not rewrites:
+            ends = [end for end, has in zip(block.ends, np.diff(stops, prepend=0).tolist(), strict=True) if has]
+            return Block(block.data, table, block.raw.kept(block.raw.begins(block.table)[kept]), ends=tuple(ends))
+        table["length"] = [len(piece) for piece in pieces]
+        bounds = np.concatenate(([0], np.cumsum(table["length"])))
+        table["offset"] = bounds[:-1]
         data = np.frombuffer(bytearray().join(pieces), dtype=np.uint8)
-        inner = tuple(sorted({end for end in ends if 0 < end < at}))
-        table = np.array(rows, dtype=TABLE)
-        return Block(data, table, Framing(block.raw.codec), ends=(*inner, at) if inner else ())
+        return Block(data, table, Framing(block.raw.codec), ends=tuple(sorted(set(bounds[stops].tolist()) - {0})))
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_error: object) -> None:
         """Do nothing: the other reader is closed by its own context."""
-
-
-class _Channels(Mapping[int, Channel]):
-    """The channels of a rewritten bag, which a pipe tells of while it is read."""
-
-    def __init__(self, reader: RewrittenReader) -> None:
-        self._of = reader
-
-    def _ids(self) -> list[int]:
-        rules = (self._of.rule_of(number) for number in self._of.reader.channels)
-        return list(dict.fromkeys(rule.channel.id for rule in rules if rule is not None))
-
-    def __getitem__(self, number: int) -> Channel:
-        rule = self._of.rule_of(number) if number in self._of.reader.channels else None
-        if rule is None or rule.channel.id != number:
-            raise KeyError(number)
-        return rule.channel
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self._ids())
-
-    def __len__(self) -> int:
-        return len(self._ids())

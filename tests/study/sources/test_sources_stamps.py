@@ -32,28 +32,15 @@ UNEVEN = np.cumsum(np.random.default_rng(4).uniform(0.01, 0.03, 3000))
 @pytest.mark.parametrize(
     ("t_s", "rounded_s", "found_s"),
     [
-        (RATE_30, 0.001, 0.001),
-        (RATE_30, 0.01, 0.01),
-        (UNEVEN, 0.01, 0.01),
-        (RATE_30, 1e-9, 0.0),
-        (RATE_50, 1e-9, 0.0),
-        (RATE_50, 0.01, 0.0),
-        (TIMER_50, 1e-9, 0.0),
-        (np.arange(1, 3001) / 80.0, 0.01, 0.01),
+        (RATE_30, 0.001, 0.001), (RATE_30, 0.01, 0.01), (UNEVEN, 0.01, 0.01), (RATE_30, 1e-9, 0.0),
+        (RATE_50, 1e-9, 0.0), (RATE_50, 0.01, 0.0), (TIMER_50, 1e-9, 0.0), (np.arange(1, 3001) / 80.0, 0.01, 0.01),
         (np.arange(1, 3001) / 40.0, 0.02, 0.02),
     ],
     ids=[
-        "30 Hz to 1 ms",
-        "30 Hz to 10 ms",
-        "uneven to 10 ms",
-        "exact",
-        "exact 50 Hz",
-        "50 Hz in ticks",
-        "50 Hz with losses",
-        "80 Hz to 10 ms",
-        "40 Hz to 20 ms",
+        "30 Hz to 1 ms", "30 Hz to 10 ms", "uneven to 10 ms", "exact", "exact 50 Hz", "50 Hz in ticks",
+        "50 Hz with losses", "80 Hz to 10 ms", "40 Hz to 20 ms",
     ],
-)
+)  # fmt: skip
 def test_what_stamps_are_rounded_to_is_seen_where_intervals_vary_on_it(t_s, rounded_s, found_s):
     assert resolution_s(poses(np.floor(t_s / rounded_s) * rounded_s).stamps_ns) == pytest.approx(found_s)
 

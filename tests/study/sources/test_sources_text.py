@@ -142,15 +142,11 @@ def test_a_last_line_that_was_cut_is_left_out_and_a_short_one_elsewhere_is_not(t
     ("text", "words"),
     [
         ("hello\nworld\n", "neither a bag nor a TUM or CSV file"),
-        ("0,0,0,0\n1,1,1,1\n", "its first line has no names"),
-        ("t,x,yaw\n", r"no column for y \("),
-        ("tiem,x,y\n", r"no column for time \(did you mean tiem\?"),
-        ("t,x,y,x\n", "'x' and 'x' could both be x"),
+        ("0,0,0,0\n1,1,1,1\n", "its first line has no names"), ("t,x,yaw\n", r"no column for y \("),
+        ("tiem,x,y\n", r"no column for time \(did you mean tiem\?"), ("t,x,y,x\n", "'x' and 'x' could both be x"),
         ("Format Version,1.2\n,,Rigid Body\n", r"no column for time and x and y \("),
-        ("t,x,y\n", "holds no line of numbers"),
-        ("t,x,y\n0,1,one\n", "'one' in line 2 is not a number"),
-        ("t,x,y\n1e30,1,1\n", "'1e30' in line 2 is not a stamp"),
-        ("t,x,y\n1e999999999,1,1\n", "is not a stamp"),
+        ("t,x,y\n", "holds no line of numbers"), ("t,x,y\n0,1,one\n", "'one' in line 2 is not a number"),
+        ("t,x,y\n1e30,1,1\n", "'1e30' in line 2 is not a stamp"), ("t,x,y\n1e999999999,1,1\n", "is not a stamp"),
         ("t,x,y\n1e300,1,1\n2,1,1\n3,1,1\n", "'1e300' in line 2 is not a stamp"),
         ("t,x,y\n1,1,1\n-1e300,1,1\n1e308,1,1\n", "'-1e300' in line 3 is not a stamp"),
         ("1e300 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n", "'1e300' in line 1 is not a stamp"),
@@ -158,7 +154,7 @@ def test_a_last_line_that_was_cut_is_left_out_and_a_short_one_elsewhere_is_not(t
         ("1 0 0 0 0 1 0 0 0 0 1 0\n", "12 numbers in line 1; KITTI poses have no stamps"),
         ("x" * 70_000, "more than 65536 characters"),
     ],
-)
+)  # fmt: skip
 def test_text_that_is_no_trajectory_says_why(tmp_path, text, words):
     path = tmp_path / "t.csv"
     path.write_text(text)
