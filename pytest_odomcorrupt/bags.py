@@ -17,6 +17,7 @@ from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.scoring.errors import Alignment, PathErrors, path_errors
 from odomcorrupt.scoring.run import read_estimate
+from odomcorrupt.study.io.text import is_text
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.trajectory import Trajectory
@@ -51,7 +52,7 @@ class CorruptedBag:
         estimate: Path | str | Trajectory | tuple[Path | str, str],
         topic: str | None = None,
         *,
-        truth: str | None = None,
+        truth: Path | str | None = None,
         align: Alignment = "rigid",
     ) -> PathErrors:
         """Return the errors of an estimate of this run; `errors(...).metrics()["ate_m"]` is its ATE.
@@ -63,7 +64,7 @@ class CorruptedBag:
         topic
             Topic or edge of TF with the estimate, in a bag.
         truth
-            Topic or edge of TF of this run's bag with the truth. None: the odometry before it was corrupted.
+            Topic or edge of TF of this run's bag, or a TUM or CSV file. None: the odometry before it was corrupted.
         align
             As `odomcorrupt.scoring.errors.path_errors` has it.
         """
@@ -73,7 +74,8 @@ class CorruptedBag:
         if isinstance(estimate, str | Path):
             read = read_estimate(Path(estimate), topic)
             estimate, covariance = read.trajectory, read.covariance
-        reference = read_estimate(self.clean_tum, None) if truth is None else read_estimate(self.path, truth)
+        file = self.clean_tum if truth is None else Path(truth)
+        reference = read_estimate(file) if is_text(file) else read_estimate(self.path, str(truth))
         return path_errors(estimate, reference.trajectory, align=align, covariance=covariance)
 
 

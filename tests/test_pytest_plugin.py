@@ -35,7 +35,7 @@ def test_bags_are_made_once_and_by_content(cache, tmp_path):
 
 def test_errors_of_a_run_are_reported_against_the_odometry_before(cache):
     bag = corrupted(OFFICE, "typical", runs=2, seed=7, cache=cache)[1]
-    assert bag.errors(bag.clean_tum).metrics()["ate_m"] < 1e-9
+    assert bag.errors(bag.clean_tum, truth=bag.clean_tum).metrics()["ate_m"] < 1e-9
     drifted = bag.errors(bag.path, "/odom", align="origin").metrics()
     assert bag.errors((bag.path, "/odom"), align="origin").metrics() == drifted
     assert drifted["end_m"] == pytest.approx(bag.drift["end_drawn_m"], rel=1e-3)

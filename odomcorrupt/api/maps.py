@@ -256,8 +256,7 @@ def draw_maps(
     made: dict[str, Any] = {"source": str(path), "model": chosen, "seed": drawn_seed, "run": run}
     if method == "laser":
         drawn = _laser_maps(path, odom_topic, scan, watch, error_of, resolution)
-        result = Maps(**made, maps=drawn.maps, notes=drawn.notes, matched=drawn)
-        return result.then("odomcorrupt", "map", path, "--method", "laser", "-o", "map.yaml")
+        return Maps(**made, maps=drawn.maps, notes=drawn.notes, matched=drawn)
     watch("drawing maps", 0.0)
     drive = read_drive(path, odom_topic)
     rays = read_rays(path, scan, drive.child_frame_id, mount)

@@ -62,14 +62,14 @@ def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -
     model = choose_model(given)
     with Stages(quiet=console.quiet) as stages:
         result = draw_maps(bag, model, method=method, watch=stages, **{name: given[name] for name in _ASKED})
-    if method == "odometry" and maps is None:
-        result = result.then("odomcorrupt", "map", *typed_words("--output"), "-o", "map.png")
-    if method == "laser" and maps is not None:
+    if maps is None:
+        name = "map.png" if method == "odometry" else "map.yaml"
+        result = result.then("odomcorrupt", "map", *typed_words("--output"), "-o", name)
+    elif method == "laser":
         result = result.then("odomcorrupt", "learn", bag, "--truth-file", maps.with_suffix(".tum"))
 
     def save(path: Path) -> str:
-        files = result.save(path, overwrite=overwrite)
-        return "\n".join(f"wrote {file}" for file in files if file.suffix != ".pgm")
+        return "\n".join(f"wrote {one}" for one in result.save(path, overwrite=overwrite) if one.suffix != ".pgm")
 
     console.show(result, files={**written(maps, save), **written(picture, result.plot)})
 
