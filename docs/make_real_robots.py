@@ -89,7 +89,7 @@ effects the error after 10 s is smaller, but the log score is not better than th
 **Lawn mower: `dead_band 98 %` is not a fault of the wheels.** It acts below 0.05 m/s, where the odometry creeps 0.7 m
 of 1861 m in 203 s, nearly all of it standing: that creeping was no motion. The error after 10 s falls by a tenth only,
 and the mower is covered over 1 m with noise alone as well (94 % of windows). What the recordings show is that its
-wheels are nearly right; `slip_burst` stands for the intervals in which the truth falls behind (last section).
+wheels are nearly right; `slip_burst` describes intervals in which the truth falls behind (last section).
 """
 
 ROBOTS = (

@@ -109,7 +109,7 @@ _OTHERS = (
     ),
     setting(
         "--imu", metavar="TOPIC",
-        help="Gyro: tells whether the heading is from wheels or a gyro. (Only `diagnose` can use it without a truth or "
+        help="Gyro: shows whether the heading is from wheels or a gyro. (Only `diagnose` can use it without a truth or "
         "a laser.) [default: the only Imu]",
     ),
     setting(

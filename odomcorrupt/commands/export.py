@@ -53,7 +53,7 @@ def _number(
 @_number("--turn-rate", "rad/s", "RAD/S", 0.5, "Turn rate at which the noise is evaluated.")
 @_number("--rate", "messages per second", "HZ", 50.0, "Rate of odometry messages.", above=True, high=1e6)
 @click.option("--controller", metavar="NAME", help="Name of the node. [default: the controller for this base]")
-@click.option("-o", "--output", type=OUTPUT, help="Write the YAML to a file.")
+@click.option("-o", "--output", type=OUTPUT, help="Write YAML or SDF to a file.")
 @overwrite_option()
 @standard_options
 def command(model: Path, *, target: Target | None, output: Path | None, console: Console, **given: Any) -> None:

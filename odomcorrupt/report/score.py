@@ -72,12 +72,9 @@ def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     """Return rows with their columns aligned: names to the left, which have no number in them, others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     left = [i in (0, len(widths) - 1) and not rows[-1][i][:1].isdigit() for i in range(len(widths))]
-    return [
-        "  ".join(
-            f"{c:<{w}}" if to_left else f"{c:>{w}}" for c, w, to_left in zip(row, widths, left, strict=True)
-        ).rstrip()
-        for row in rows
-    ]
+    sides = ["<" if to_left else ">" for to_left in left]
+    cells = ([f"{c:{side}{w}}" for c, side, w in zip(row, sides, widths, strict=True)] for row in rows)
+    return ["  ".join(row).rstrip() for row in cells]
 
 
 def score_brief(report: ScoreReport, verdicts: Sequence[Verdict]) -> Summary:

@@ -308,7 +308,7 @@ def test_the_page_shows_everything_at_once_and_stays_whole(rich, sequence):
 def test_the_page_of_a_search_that_found_nothing_is_whole_and_names_the_recording_that_judges(poor, sequence):
     good = replace(sequence, evaluations=(kept(sequence.evaluations[0]),))
     page = found_html(poor, replace(good, recordings=("other.mcap",)), NONE, "", Summary(()))
-    assert ", judged on other.mcap</h1>" in page
+    assert ", evaluated on other.mcap</h1>" in page
     parsed_page(page)
     assert texts.found_text(poor, NONE) == texts.NOTHING
     assert texts.NOTHING[1:] in unescape(page)

@@ -385,7 +385,7 @@ def found_html(learned: Learned, sequence: Comparison, advice: Advice, following
     following, summary : suggested next command, or "", and lines "change" that say what to set in the robot
     """
     names = [recording.name for recording in learned.fit.problem.recordings]
-    title = ", judged on ".join([", ".join(names), *(name for name in sequence.recordings if name not in names)])
+    title = ", evaluated on ".join([", ".join(names), *(name for name in sequence.recordings if name not in names)])
     mark = " rejected" if learned.added or learned.unknown else ""
     body = [
         f"<h1>What is missing: {escape(title)}</h1>",
@@ -481,8 +481,8 @@ def _detectable(advice: Advice) -> list[str]:
 
 
 _SEARCH_LEGEND = (
-    "Held-out: every model of the sequence was refitted on one half of each recording and evaluated on the other, both "
-    "ways. Nats: log likelihood; 10 nats correspond to odds of twenty thousand to one. The detectable size is 4.2 "
+    "Held-out: each model was evaluated on data that it was not fitted to: other recordings, or the other half of the "
+    "only one. Nats: log likelihood; 10 nats correspond to odds of twenty thousand to one. The detectable size is 4.2 "
     "standard errors."
 )
 
