@@ -167,16 +167,9 @@ class Target(NamedTuple):
 
 
 def target_of(
-    path: Path | None,
-    reader: BagReader,
-    *,
-    ros: Generation | None = None,
-    storage: str | None = None,
-    exclude: Sequence[str] = (),
-    rename: Sequence[str] = (),
-    recover: bool = False,
-    scan_every: int = 1,
-) -> Target:
+    path: Path | None, reader: BagReader, *, ros: Generation | None = None, storage: str | None = None, exclude:
+    Sequence[str] = (), rename: Sequence[str] = (), recover: bool = False, scan_every: int = 1,
+) -> Target:  # fmt: skip
     """Return an output, with a reader of the input that yields the messages as the output has them.
 
     path, ros, storage : as of `form_of`

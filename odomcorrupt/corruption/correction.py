@@ -129,14 +129,14 @@ class _Stretch:
         return Correction(xyt, sums[:rows], origin, np.full(len(xyt), self.number), held, sums[rows:].T)
 
 
-def body_difference(clean_xyt: Array, correction_xyt: Array) -> tuple[Array, Array]:
+def body_difference(clean_xyt: Array, correction_xyt: Array, turn_rad: Array | None = None) -> tuple[Array, Array]:
     """Return noisy minus clean body increments (n - 1, 3), each at its own mid heading, and the clean ones.
 
-    Only changes of the correction enter: where it is held, the difference is zero to the last bit.
+    Only changes of the correction enter: where it is held, the difference is zero. Headings may jump if turns are given
     """
     (x, y, heading), (shift_x, shift_y, angle) = clean_xyt.T, correction_xyt.T
-    turn, swing = wrap(np.diff(heading)), np.diff(angle)
-    middle = heading[:-1] + turn / 2.0
+    turn, swing = wrap(np.diff(heading)) if turn_rad is None else turn_rad, np.diff(angle)
+    middle = heading[:-1] + turn / 2.0 if turn_rad is None else heading[1:] - turn / 2.0
     shift = rotated(np.diff(shift_x), np.diff(shift_y), -angle[:-1])
     end = x[1:], y[1:]
     swung = rotated(*end, swing)

@@ -23,6 +23,7 @@ from odomcorrupt.corruption.se2_on_se3 import (
     poses_in,
     tilted_rows,
     tilts,
+    turns_about_vertical,
 )  # fmt: skip
 from odomcorrupt.geometry.se2 import rotated
 from odomcorrupt.sensors.consistent import Rewriter
@@ -104,6 +105,7 @@ class TopicTwist:
         self._pose, self._speed2 = np.full((1, 3), np.nan), np.zeros(1)
         self._stamps_ns: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self._clean, self._correction, self._sums = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 0))
+        self._quat = np.zeros((0, 4))
         self._known, self._added, self._covariance = False, np.zeros(3), np.zeros((3, 3))
         self._rate, self._swing = np.zeros(3), np.zeros(2)
 
@@ -156,7 +158,8 @@ class TopicTwist:
         added, rate, swing = np.zeros((count + 1, 3)), np.zeros((count + 1, 3)), np.zeros((count + 1, 2))
         covariance = np.zeros((3, 3, count + 1)).transpose(2, 0, 1)
         added[0], covariance[0], rate[0], swing[0] = self._added, self._covariance, self._rate, self._swing
-        difference, body = body_difference(clean, correction)
+        quat = np.concatenate((self._quat, own.quat_xyzw[measured]))
+        difference, body = body_difference(clean, correction, turns_about_vertical(quat))
         for column in range(3):
             added[1 + fresh :, column], rate[1 + fresh :, column] = difference[:, column] / dt_s, body[:, column] / dt_s
         # headings of the clean and of the noisy body at the middle of the interval
@@ -168,7 +171,7 @@ class TopicTwist:
 
         if len(at_ns):
             self._stamps_ns, self._clean, self._correction = at_ns[-1:], clean[-1:], correction[-1:]
-            self._sums = every_sum[:, -1:]
+            self._sums, self._quat = every_sum[:, -1:], quat[-1:]
         self._known, self._added, self._covariance = bool(known[-1]), added[-1], covariance[-1]
         self._rate, self._swing = rate[-1], swing[-1]
         if isinstance(measured, slice):

@@ -23,7 +23,7 @@ FAR_M = 1e9
 """Where no robot is: a pose so far away is no number of use."""
 
 _STEEP = float(np.sin(np.deg2rad(85.0)))
-"""Sine of a pitch at which the body's x axis points up or down, and the heading is an accident."""
+"""Sine of a pitch at which the body's x axis points up or down, and the heading is an accident of small roll."""
 
 
 _FLAT2 = 0.02  # (sine of half the tilt)^2 up to which a rotation is about the x axis alone: a tilt of 16 deg
@@ -261,7 +261,7 @@ class PoseFaults:
         if self.no_w:
             said.append(f"{self.no_w} orientations are no unit quaternions, w is 0: set w = cos(yaw / 2)")
         if self.upright:
-            said.append(f"{self.upright} poses pitch beyond 85 deg: their heading is undefined")
+            said.append(f"{self.upright} poses pitch beyond 85 deg: their heading is that of the z axis")
         if self.far:
             said.append(f"{self.far} poses are beyond {FAR_M:.0e} m: not used, and left unchanged")
         return said

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.bags.messages import gather
-from odomcorrupt.geometry.se2 import rotate, rotated, yaw_from_quaternion
+from odomcorrupt.geometry.se2 import rotate, rotated, wrap, yaw_from_quaternion
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -87,6 +87,14 @@ def tilts(quat_xyzw: Array, yaw_rad: Array) -> Array:
     x, y, z, w = quat_xyzw.T
     tilt = np.stack((c * x + s * y, c * y - s * x, c * z - s * w, c * w + s * z), axis=1)
     return np.stack([_turned(tilt, np.broadcast_to(axis, (len(tilt), 3))) for axis in np.eye(3)], axis=2)
+
+
+def turns_about_vertical(quat_xyzw: Array) -> Array | None:
+    """Return the turns (n - 1,) between orientations (n, 4), radians; None if all are level, as headings tell then."""
+    if not len(tilted_rows(quat_xyzw)):
+        return None
+    (a, b, c, d), (x, y, z, w) = quat_xyzw[:-1].T, quat_xyzw[1:].T
+    return wrap(2.0 * np.arctan2(d * z - c * w + a * y - b * x, a * x + b * y + c * z + d * w))
 
 
 def in_level_frame(twist: Array, quat_xyzw: Array, yaw_rad: Array) -> Array:

@@ -334,10 +334,8 @@ class Transform:
 
     def may_move(self, channel: Channel) -> bool:
         """Return whether a channel's messages may be changed."""
-        return _has_poses(channel) or channel.id in self._follows or self._is_noisy(channel)
-
-    def _is_noisy(self, channel: Channel) -> bool:
-        return channel.encoding in ENCODINGS and channel.msgtype in self.run.noise.msgtypes
+        noisy = channel.encoding in ENCODINGS and channel.msgtype in self.run.noise.msgtypes
+        return noisy or _has_poses(channel) or channel.id in self._follows
 
     def relations(self, reader: BagReader) -> dict[int, Relations]:
         """Return how other sensors follow the odometry, by channel id, from a pass over the bag.
@@ -422,7 +420,7 @@ class Transform:
     def _find_targets(self, held: _Held, frames: Frames) -> list[Target]:
         found = []
         for channel, layout in held.parts:
-            if channel.id in self._follows or self._is_noisy(channel):
+            if not _has_poses(channel):
                 times = stamps_or_log_ns(held.block, layout, layout.items[0]), held.time_ns[layout.rows]
                 follows = self._follows.get(channel.id, {})
                 found.append(Target(channel, layout, layout.items[0], "left", *times, follows))

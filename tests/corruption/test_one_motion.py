@@ -1,12 +1,14 @@
 """After corruption every topic states the same noisy motion: generated bags, read by another library, judged by SE(3).
 
 The bags differ in storage, encoding, namespaces, attitude of the child frame, axes of the twists, repetition of
-messages, and in whether other sensors are made consistent. Nothing here uses the product but its call.
+messages, in whether other sensors are made consistent, and in how many laser scans are kept. Nothing here uses the
+product but its call.
 """
 
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -26,7 +28,7 @@ ODOMETRY, TRANSFORMS, TEXT = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", 
 STORES = {1: get_typestore(Stores.ROS1_NOETIC), 2: get_typestore(Stores.ROS2_HUMBLE)}
 STORES[1].register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", TRANSFORMS))
 JOINTS, TICKS, IMU = "sensor_msgs/msg/JointState", "irobot_create_msgs/msg/WheelTicks", "sensor_msgs/msg/Imu"
-ENCODER = "std_msgs/msg/Int32"
+ENCODER, SCAN = "std_msgs/msg/Int32", "sensor_msgs/msg/LaserScan"
 TOPICS = ("imu", "joint_states", "left_encoder", "ticks")
 RADIUS_M, TRACK_M, PER_RAD = 0.05, 0.34, 4000.0
 for store in STORES.values():
@@ -68,6 +70,11 @@ class Kind:
         return 1 if self.storage == "ros1" else 2
 
     @property
+    def scan_every(self) -> int:
+        """Which laser scans are kept."""
+        return 1 + self.number % 3
+
+    @property
     def names(self) -> tuple[str, str]:
         """Odometry and TF topic of the robot that is corrupted."""
         space = "/robot1" if self.layout in ("namespace", "two robots") else ""
@@ -84,10 +91,10 @@ class Kind:
         return ("robot1/odom", "robot1/base") if self.layout == "prefixes" else ("odom", "base_link")
 
 
-def kinds(count: int) -> list[Kind]:
-    """Return combinations, spread evenly over all."""
-    rows = np.random.default_rng(5).permutation(len(Kind.every))
-    return [Kind(i, *Kind.every[rows[i % len(rows)]]) for i in range(count)]
+def kinds(count: int, seed: int = 5) -> list[Kind]:
+    """Return combinations, spread evenly over all, of drives and noises that depend on the seed."""
+    rows = np.random.default_rng(seed).permutation(len(Kind.every))
+    return [Kind(seed * 1000 + i, *Kind.every[rows[i % len(rows)]]) for i in range(count)]
 
 
 def rates(t_s, position, quat, axes):
@@ -195,6 +202,11 @@ def robot(store, kind: Kind, start_rad: float, space: str):
             place = store.types["geometry_msgs/msg/Transform"](g("Vector3", (1, 2, 0)), g("Quaternion", (0, 0, S, S)))
             above = store.types["geometry_msgs/msg/TransformStamped"](header(store, stamp, "map"), odom, place)
             yield f"{space}/tf", TRANSFORMS, int(log) + 1500, store.types[TRANSFORMS]([above])
+        if i % 4 == 0:
+            limits = (-1.0, 1.0, 0.5, 0.0, 0.1, 0.1, 30.0)
+            ranges = np.arange(i, i + 5, dtype=np.float32)
+            scan = store.types[SCAN](header(store, stamp, "laser"), *limits, ranges, np.zeros(0, dtype=np.float32))
+            yield f"{space}/scan", SCAN, int(log) + 1700, scan
         if i % 20 == 0:
             yield "/note", TEXT, int(log) + 2000, store.types[TEXT](f"note {i}")
 
@@ -296,8 +308,15 @@ def violations(kind: Kind, folder) -> list[str]:
     noise = odomcorrupt.Noise(alpha=(0.05, 0.02, 0.05, 0.01))
     first, *also = (odom for odom, _ in robots)
     options = {"odom_topic": first, "also": also, "model": noise, "consistent": kind.sensors == "consistent"}
+    options["scan_every"] = kind.scan_every
     done = odomcorrupt.corrupt(source, target, seed=kind.number, **options)
     before, after = (read(path, STORES[kind.ros]) for path in (source, target))
+    scans: Counter[str] = Counter()
+    left_out = []
+    for i, (topic, *_) in enumerate(before):
+        left_out += [i] if topic.endswith("scan") and scans[topic] % kind.scan_every else []
+        scans[topic] += 1
+    before = [m for i, m in enumerate(before) if i not in left_out]
     wrong = []
     if [m[:2] for m in before] != [m[:2] for m in after]:
         wrong.append("topics and log times")
@@ -448,6 +467,26 @@ def test_every_topic_states_the_same_noisy_motion(kind, tmp_path):
 @pytest.mark.slow
 def test_every_topic_of_500_bags_states_the_same_noisy_motion(tmp_path):
     assert [said for kind in kinds(500) for said in violations(kind, tmp_path)] == []
+
+
+@pytest.mark.parametrize("roll_rad", [0.0, 0.1])
+def test_twists_are_the_motion_of_a_body_that_pitches_over_the_vertical_where_its_heading_jumps(roll_rad, tmp_path):
+    kind = Kind(3, "mcap", "root", "level", "none", "child")
+    d = drive(kind, 0.4)
+    pitch_rad = np.deg2rad(90.0 - 20.0 * np.cos(np.linspace(0.0, 6.0 * np.pi, len(d.t))))
+    tilt = Rotation.from_euler("yx", np.column_stack((pitch_rad, np.full(len(d.t), roll_rad))))
+    d.quat = (Rotation.from_euler("z", d.flat[:, 2:]) * tilt).as_quat()
+    d.twist[1:] = rates((d.t - d.t[0]) * 1e-9, d.position, d.quat, "child")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(globals(), "drive", lambda *_: d)
+        write(kind, tmp_path / "in")
+    odomcorrupt.corrupt(tmp_path / "in", tmp_path / "out", model="typical", seed=3, odom_topic="/odom")
+    messages = [[m[3] for m in read(tmp_path / name, STORES[2]) if m[0] == "/odom"] for name in ("in", "out")]
+    (t, place0, quat0, twist0, *_), (_, place, quat, twist, *_) = map(numbers, messages)
+    noisy, clean = (rates((t - t[0]) * 1e-9, p, q, "child") for p, q in ((place, quat), (place0, quat0)))
+    off, error = (twist - twist0)[1:] - (noisy - clean), np.linalg.norm(noisy - clean, axis=1)
+    # a twist in the axes at its stamp differs from one in those at the middle by half of the turn between two stamps
+    assert np.all(np.linalg.norm(off, axis=1) < 0.06 * error + 1e-4)
 
 
 def test_a_batch_of_two_robots_has_the_bytes_of_single_runs(tmp_path):

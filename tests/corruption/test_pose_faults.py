@@ -68,7 +68,7 @@ def odd(tmp_path):
 
 SAID = (
     "1 orientations are quaternions of four zeros: not used, and left unchanged",
-    "1 poses pitch beyond 85 deg: their heading is undefined",
+    "1 poses pitch beyond 85 deg: their heading is that of the z axis",
     "1 poses are beyond 1e+09 m: not used, and left unchanged",
     "TF gives base_link 2 parents (map, odom): a frame can have only one",
     "TF has a loop: base_link -> laser -> map -> base_link",

@@ -231,8 +231,7 @@ class ConvertedReader(RewrittenReader):
         # a ROS 1 topic has as many definitions as publishers
         same = [c for c in self.reader.channels.values() if (c.topic, c.msgtype) == (channel.topic, channel.msgtype)]
         latches = any(self.reader.definition(one).metadata.get("latching") == "1" for one in same)
-        qos = latched_qos() if latches else ""
-        metadata = {"offered_qos_profiles": qos, "topic_type_hash": new.digest}
+        metadata = {"offered_qos_profiles": latched_qos() if latches else "", "topic_type_hash": new.digest}
         return Definition(new.msgtype, "ros2msg", new.text.encode(), metadata)
 
     def _refused(self, channel: Channel, why: str) -> BagError:
@@ -248,10 +247,8 @@ class ConvertedReader(RewrittenReader):
         missing = list(asked)
         for block in self.reader.blocks({channel.id for channel in tf}) if asked else ():
             for channel in tf:
-                items = (item for layout in locate(block, channel) for item in layout.items)
-                met[channel.topic.lstrip("/")] |= {
-                    (i.frame_id.lstrip("/"), i.child_frame_id.lstrip("/")) for i in items
-                }
+                pairs = ((i.frame_id, i.child_frame_id) for layout in locate(block, channel) for i in layout.items)
+                met[channel.topic.lstrip("/")] |= {(a.lstrip("/"), b.lstrip("/")) for a, b in pairs}
             missing = [one for one, (topic, edges) in asked.items() if edges.isdisjoint(met[topic])]
             if not missing:
                 return
