@@ -15,7 +15,7 @@ import numpy as np
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Container, Iterator, Mapping
     from pathlib import Path
     from types import TracebackType
 
@@ -88,10 +88,6 @@ class Framing:
     def kept(self, begins: NDArray[np.int64]) -> Framing:  # noqa: ARG002 - overridden where they are part of it
         """Return the framing of some of the messages, whose records begin at these offsets (n,)."""
         return self
-
-    def goes_on_with(self, other: object) -> bool:  # noqa: ARG002 - overridden where blocks can be joined
-        """Return whether this and another block are chunks with the same framing, so that they can be joined."""
-        return False
 
     def joined(self, behind: list[Any], begins: list[int]) -> Framing:  # noqa: ARG002 - as above
         """Return the framing of this block joined with those after it, which begin at these offsets of the data."""
@@ -270,52 +266,3 @@ class BagWriter(Protocol):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None: ...
-
-
-_ENOUGH_MESSAGES = 20_000
-"""More at once would save no more time."""
-
-
-def joined(blocks: Iterable[Block]) -> Iterator[Block]:
-    """Yield blocks, with adjacent small chunks of the same framing joined."""
-    run: list[Block] = []
-    messages = 0
-    for block in blocks:
-        messages += len(block.table)
-        if run and (messages > _ENOUGH_MESSAGES or not _goes_on(run[-1], block)):
-            yield _one(run)
-            run, messages = [], len(block.table)
-        run.append(block)
-    if run:
-        yield _one(run)
-
-
-def _goes_on(last: Block, block: Block) -> bool:
-    """Return whether a block is a chunk that lies directly behind another one in the same buffer."""
-    return (
-        not (last.ends or block.ends)
-        and isinstance(block.data.base, np.ndarray)
-        and block.data.base is last.data.base
-        and _address(block.data) == _address(last.data) + last.data.size
-        and last.raw.goes_on_with(block.raw)
-    )
-
-
-def _one(run: list[Block]) -> Block:
-    first = run[0]
-    whole = first.data.base
-    if len(run) == 1 or not isinstance(whole, np.ndarray):
-        return first
-    ends = np.cumsum([block.data.size for block in run]).tolist()
-    begins = [0, *ends[:-1]]
-    at = _address(first.data) - _address(whole)
-    # as plain bytes: NumPy is slow at concatenating structured arrays
-    table = np.concatenate([block.table.view(np.uint8) for block in run]).view(TABLE)
-    table["offset"] += np.repeat(begins, [len(block.table) for block in run])
-    raw = first.raw.joined([block.raw for block in run[1:]], begins[1:])
-    sparse = tuple(one for block in run for one in block.sparse)  # of all: they lie in the same buffer
-    return Block(whole[at : at + ends[-1]], table, raw, ends=tuple(ends), part=first.part, sparse=sparse)
-
-
-def _address(data: NDArray[np.uint8]) -> int:
-    return int(data.__array_interface__["data"][0])

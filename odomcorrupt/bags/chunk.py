@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.codecs import Packed, beginning, decompress, unpacked
-from odomcorrupt.bags.source import LARGEST_BYTES
+from odomcorrupt.bags.source import LARGEST_BYTES, extended, lies_behind
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -22,11 +22,17 @@ if TYPE_CHECKING:
     RecordBytes = Callable[[memoryview, int], int]
 
 
-def gaps_between(starts: NDArray[np.int64], ends: NDArray[np.int64], size: int) -> list[tuple[int, int]] | None:
-    """Return the spans of [0, size) not covered by records (n,), sorted by start; None where these overlap.
+def gaps_between(
+    starts: NDArray[np.int64], ends: NDArray[np.int64], chunk_ends: tuple[int, ...]
+) -> list[tuple[int, int]] | None:
+    """Return the spans of chunks not covered by records (n,), sorted by start; None where any overlap.
 
     If the gaps consist of whole records, none of the indexed kind, the index is correct and complete.
     """
+    *inner, size = chunk_ends
+    if inner:  # as records without a length
+        at = np.searchsorted(starts, inner)
+        starts, ends = np.insert(starts, at, inner), np.insert(ends, at, inner)
     befores, afters = np.concatenate(([0], ends)), np.concatenate((starts, [size]))
     (open_ones,) = (befores != afters).nonzero()
     if not open_ones.size:
@@ -59,29 +65,59 @@ BATCH_BYTES = 1 << 20
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Chunk:
-    """A decompressed chunk or a part of one, and the contents of the indexes that follow it.
+    """A decompressed chunk or a part of one, or several in one buffer, and the contents of the indexes behind each.
 
+    indexes : offset in data of the chunk that it belongs to, and its content
     loose : in place of data, collected records that stand outside of chunks
-    place, crc : position of its data in the file, and their stated CRC-32, if they are not compressed; else None, 0
+    places : position of each chunk's data in the file, and their stated CRC-32; empty if they are compressed
+    ends : end offsets of several chunks; empty for a single one
     """
 
-    data: NDArray[np.uint8]
-    codec: str
     what: str
-    indexes: list[bytes] = field(default_factory=list)
+    codec: str = "none"
+    data: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, dtype=np.uint8))
+    indexes: list[tuple[int, bytes]] = field(default_factory=list)
     loose: bytearray = field(default_factory=bytearray)
-    place: int | None = None
-    crc: int = 0
-
-    @classmethod
-    def outside(cls, what: str) -> Chunk:
-        """Return an empty collection of records outside of chunks."""
-        return cls(np.empty(0, dtype=np.uint8), "none", what)
+    places: tuple[tuple[int, int], ...] = ()
+    ends: tuple[int, ...] = ()
 
     @property
     def records(self) -> NDArray[np.uint8]:
         """Its records (size,), bytes."""
         return np.frombuffer(self.loose, dtype=np.uint8) if self.loose else self.data
+
+    @classmethod
+    def joined(cls, run: list[Chunk]) -> Chunk:
+        """Return chunks that lie side by side as one."""
+        if len(run) == 1:
+            return run[0]
+        begins = [0, *(ends := np.cumsum([one.data.size for one in run]).tolist())]
+        indexes = [(begin, index) for one, begin in zip(run, begins, strict=False) for _, index in one.indexes]
+        places = tuple(place for one in run for place in one.places)
+        first = run[0]
+        data = extended(first.data, ends[-1])
+        return cls(first.what, first.codec, data, indexes, places=places, ends=tuple(ends))
+
+    def goes_on_with(self, other: Chunk) -> bool:
+        """Return whether another chunk lies directly behind this one in memory, and is stored in the same way."""
+        alike = self.codec == other.codec and len(self.places) == len(other.places)
+        return alike and not (self.loose or other.loose) and lies_behind(other.data, self.data)
+
+    def index_entries(self, skipped: int, kind: np.dtype[np.void]) -> NDArray[np.int64] | None:
+        """Return the sorted offsets of messages (n,) by the indexes; None if one is not a whole number of entries.
+
+        skipped : bytes of an index before its entries
+        kind : of an entry, with its `offset` in the chunk
+        """
+        if any((len(index) - skipped) % kind.itemsize for _, index in self.indexes):
+            return None
+        entries = np.frombuffer(b"".join([index[skipped:] for _, index in self.indexes]), dtype=kind)
+        starts = entries["offset"].astype(np.int64)  # beyond 2^63 they are negative
+        if self.ends:
+            counts = [(len(index) - skipped) // kind.itemsize for _, index in self.indexes]
+            starts += np.repeat(np.array([begin for begin, _ in self.indexes], dtype=np.int64), counts)
+        starts.sort()
+        return starts
 
 
 class ChunkHead(NamedTuple):
@@ -110,8 +146,8 @@ def read_chunks(source: Source, head: ChunkHead, record_bytes: RecordBytes, *, v
     if head.codec == "none" and head.size != head.packed:
         raise BagError(f"{named}: states {head.size} bytes, but has {head.packed}; the bag is damaged")
     if head.size <= LARGE_BYTES:
-        place = source.position if head.codec == "none" else None
-        yield Chunk(_read_whole(source, head, named), head.codec, named, place=place, crc=head.crc)
+        places = ((source.position, head.crc),) if head.codec == "none" else ()
+        yield Chunk(named, head.codec, _read_whole(source, head, named), places=places)
         return
     budget: Budget | None = source.budget
     if verify and (head.crc or head.codec != "none"):
@@ -135,7 +171,7 @@ def _chunks_of(
     """Yield the decompressed pieces of a chunk as chunks of whole records."""
     named, begin = f"{source.name}: {head.what}", 0
     for data in record_blocks(pieces, head.size, record_bytes, source.pool.place, named):
-        yield Chunk(data, head.codec, f"{named}, from byte {begin} of its records" if begin else named)
+        yield Chunk(f"{named}, from byte {begin} of its records" if begin else named, head.codec, data)
         begin += data.size
 
 

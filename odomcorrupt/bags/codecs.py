@@ -107,9 +107,7 @@ def _counted(codec: str, packed: Packed, size: int, what: str, budget: Budget | 
 def require_size(came: int, size: int, what: str) -> None:
     """Raise BagError if not as many bytes came out of a chunk as it states."""
     if came != size:
-        raise BagError(
-            f"{what}: states {size} bytes, but unpacks to {came}; the bag is damaged, --recover saves the intact part"
-        )
+        raise BagError(f"{what}: states {size} bytes, but unpacks to {came}; --recover saves the intact part")
 
 
 def beginning(codec: str, packed: Packed, budget: Budget) -> Iterator[bytes | memoryview]:
@@ -220,17 +218,6 @@ _PIECES: dict[str, Callable[[Packed], Iterator[bytes | memoryview]]] = {
 _MAGIC = b"\x04\x22\x4d\x18"
 _SUMMED, _SIZED, _HAS_DICTIONARY = 0x04, 0x08, 0x01
 """Flags of a frame: a checksum at its end; the size, or a dictionary's id, in its head."""
-
-
-def pack_summed(data: NDArray[np.uint8], level: int) -> memoryview:
-    """Return a frame of independent blocks with a content checksum and no content size."""
-    frame: bytearray = lz4.frame.compress(
-        data.data, compression_level=level, block_linked=False, store_size=False, return_bytearray=True
-    )
-    frame[4] |= _SUMMED
-    frame[6:7] = _sum_of_head(frame[4:6])
-    frame += _sum_of_content(data.data)
-    return memoryview(frame)
 
 
 def unpack(data: memoryview, size: int) -> bytearray:
@@ -389,4 +376,10 @@ def compress_for_ros1(codec: str, data: NDArray[np.uint8], level: int | None) ->
     if codec != "lz4":
         return compress(codec, data, level)
     require_level(codec, level)
-    return pack_summed(data, level or 0)
+    frame: bytearray = lz4.frame.compress(
+        data.data, compression_level=level or 0, block_linked=False, store_size=False, return_bytearray=True
+    )
+    frame[4] |= _SUMMED
+    frame[6:7] = _sum_of_head(frame[4:6])
+    frame += _sum_of_content(data.data)
+    return memoryview(frame)

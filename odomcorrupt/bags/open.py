@@ -259,17 +259,13 @@ def open_writer(
     if form.directory and path is not None:
         from odomcorrupt.bags.rosbag2.writer import Rosbag2Writer  # noqa: PLC0415 - see above
 
-        chunks = compression if compression not in _MODES else None
-        mode = cast("Mode", compression) if compression in _MODES else None
-        mode = "none" if chunks is not None else mode
-        return Rosbag2Writer(
-            path, reader, chunks, level, kind=kind, mode=mode, overwrite=overwrite, workers=workers
-        )  # fmt: skip
+        chunks = None if compression in _MODES else compression
+        mode = cast("Mode | None", compression if compression in _MODES else chunks and "none")
+        return Rosbag2Writer(path, reader, chunks, level, kind=kind, mode=mode, overwrite=overwrite, workers=workers)
     beside = workers is not None and workers.threads > 1
     if isinstance(reader, RecordReader) and path is not None and not is_stream(path) and str(path) != "-":
         # what the kernel copies in a thread need not be written from memory
-        copied = beside and reader.kind == kind and compression in (None, "none")
-        reader.sparse = copied and sys.platform == "linux"
+        reader.sparse = beside and reader.kind == kind and compression in (None, "none") and sys.platform == "linux"
     # the reader of a bag's only file of the same kind: this file is rewritten
     part = parts.parts[0] if parts and len(parts.parts) == 1 and parts.kind == kind else None
     if kind == "mcap":
@@ -294,18 +290,16 @@ def _require_generation(path: Path | None, reader: BagReader) -> None:
     """Raise BagError for messages that are not of ROS 2."""
     for channel in reader.channels.values():
         if channel.encoding != "cdr":
-            raise BagError(
-                f"{path}: {channel.topic} has {channel.encoding} messages, but a ROS 2 bag holds cdr messages; convert "
-                "them"
-            )
+            said = f"{channel.topic} has {channel.encoding} messages, but a ROS 2 bag holds cdr messages; convert them"
+            raise BagError(f"{path}: {said}")
 
 
 def _require_compression(form: Form, parts: PartsReader | None, compression: str | None, level: int | None) -> None:
     """Raise BagError for a compression or a level that an output cannot have."""
     known = _CODECS[form.kind] + (_MODES if form.directory else ())
     if compression is not None and compression not in known:
-        name = "a directory of MCAP files" if form.directory and form.kind == "mcap" else _NAMES[form.kind]
-        name = "a directory of sqlite3 files" if form.directory and form.kind == "sqlite3" else name
+        storage = {"mcap": "MCAP"}.get(form.kind, form.kind)
+        name = f"a directory of {storage} files" if form.directory else _NAMES[form.kind]
         raise BagError(f"compression {compression}: is not available for {name}; choose {', '.join(known)}")
     if form.directory and compression is None and parts is not None and parts.mode != "none":
         compression = parts.mode

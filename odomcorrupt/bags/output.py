@@ -56,9 +56,7 @@ def refuse_target(path: Path, inputs: list[Path], *, overwrite: bool, directory:
         raise BagError(f"{path}: exists already; name another output or give --overwrite")
     if path.is_dir() != directory:
         kinds = ("a directory", "a file")
-        raise BagError(
-            f"{path}: is {kinds[directory]}, {kinds[not directory]} will not replace it; name another output"
-        )
+        raise BagError(f"{path}: is {kinds[directory]}, {kinds[not directory]} will not replace it; name another")
     if directory and not all(one.suffix in _BAG_SUFFIXES and one.is_file() for one in path.iterdir()):
         raise BagError(f"{path}: contains more than a ROS 2 bag and is not replaced; name another output")
 
@@ -222,8 +220,8 @@ class FileCopy:
         self._position = begin
         self._ended = self._stopped = False
         self._progress = threading.Condition()
-        self._turn, self._pause = threading.Lock(), threading.Lock()
-        self._kept: list[tuple[int, bytes]] = []
+        self._flushing = threading.Lock()
+        self._kept: list[tuple[int, bytearray]] = []
         self._kept_bytes = 0
         self._thread = threading.Thread(target=self._run, name="copy", daemon=True)
         self._thread.start()
@@ -237,18 +235,22 @@ class FileCopy:
 
     def write(self, position: int, piece: bytes | memoryview) -> None:
         """Write bytes over the copy, now or later."""
-        self._kept.append((position, bytes(piece)))
+        if self._kept and self._kept[-1][0] + len(self._kept[-1][1]) == position:
+            self._kept[-1][1].extend(piece)
+        else:
+            self._kept.append((position, bytearray(piece)))
         self._kept_bytes += len(piece)
         if self._kept_bytes > _KEPT_BYTES:
             self.flush()
 
     def flush(self) -> None:
         """Write the bytes that have waited."""
-        with self._turn, self._pause:
+        with self._flushing:
             for position, piece in self._kept:
-                done = 0
-                while done < len(piece):
-                    done += os.pwrite(self._target, piece[done:], position + done)
+                view = memoryview(piece)
+                while view:
+                    done = os.pwrite(self._target, view, position)
+                    view, position = view[done:], position + done  # noqa: PLW2901
         self._kept.clear()
         self._kept_bytes = 0
 
@@ -271,12 +273,9 @@ class FileCopy:
         with suppress(OSError, AttributeError):
             while not self._stopped and (left := self._state[0] - self._position) > 0:
                 at = self._position
-                with self._turn:
-                    self._pause.acquire()
-                try:
-                    done = os.copy_file_range(self._source, self._target, min(left, _AT_ONCE_BYTES), at, at)
-                finally:
-                    self._pause.release()
+                with self._flushing:  # no call begins before what waits is written
+                    pass
+                done = os.copy_file_range(self._source, self._target, min(left, _AT_ONCE_BYTES), at, at)
                 if not done:
                     break
                 with self._progress:

@@ -91,9 +91,7 @@ def _listed(directory: Path, *, recover: bool) -> BagFiles:
     mode = "none" if mode == "storage" else mode
     packed = str(info.get("compression_format") or "zstd").lower()
     if mode not in get_args(Mode) or (mode != "none" and packed != "zstd"):
-        raise BagError(
-            f"{directory}: is compressed {mode} by {mode} ({packed}), zstd is known; `ros2 bag convert` can undo that"
-        )
+        raise BagError(f"{directory}: is compressed by {mode} ({packed}), zstd is known; `ros2 bag convert` undoes it")
     # Old versions put the directory's own name before the files'.
     files = [directory / str(name).replace("\\", "/").rsplit("/", 1)[-1] for name in info["relative_file_paths"]]
     there = [file for file in files if file.exists()]
@@ -135,14 +133,10 @@ def _named(path: Path, *, recover: bool) -> BagFiles:
     packed = [one for one in every if one.suffix in SUFFIXES]
     files = [one for one in every if one.suffix in (".db3", ".mcap")]
     if files and packed:
-        raise BagError(
-            f"{path}: has no metadata.yaml, and holds {files[0].name} beside {packed[0].name}; name one of them"
-        )
+        raise BagError(f"{path}: has no metadata.yaml, and holds {files[0].name} beside {packed[0].name}; name one")
     files = packed or files or every
     if not files:
-        raise BagError(
-            f"{path}: is a directory without a bag in it (metadata.yaml, .db3 or .mcap files, or .bag files)"
-        )
+        raise BagError(f"{path}: is a directory without a bag in it (metadata.yaml, .db3, .mcap or .bag files)")
     missing = _missing_parts(files)
     if missing is None or (missing and not recover):
         gap = f": part {missing[0]} is missing, --recover does without it" if missing else ""
@@ -180,11 +174,8 @@ def pattern_of(files: Sequence[Path]) -> Path | None:
     if first is None:
         return None
     pattern = files[0].parent / f"{_DATE.sub('*', glob.escape(first['stem']))}[0-9]*{first['suffix']}*"
-    return (
-        pattern
-        if bags_in(pattern) == sorted(files, key=_counting) and _missing_parts(bags_in(pattern)) is not None
-        else None
-    )
+    every = bags_in(pattern)
+    return pattern if every == sorted(files, key=_counting) and _missing_parts(every) is not None else None
 
 
 _NUMBERS = re.compile(r"([0-9]{1,18})")

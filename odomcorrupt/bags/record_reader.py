@@ -5,26 +5,29 @@ from __future__ import annotations
 import re
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Self
+from itertools import chain
+from typing import TYPE_CHECKING, Self, TypeVar
 
 import numpy as np
 
-from odomcorrupt.bags.block import Block, without
+from odomcorrupt.bags.block import TABLE, Block, without
 from odomcorrupt.bags.checksum import crc32
+from odomcorrupt.bags.chunk import Chunk
 from odomcorrupt.bags.messages import READABLE, undecodable
 from odomcorrupt.bags.output import Original, state_of
-from odomcorrupt.bags.source import BufferPool, Source
+from odomcorrupt.bags.source import BufferPool, Source, extended, lies_behind
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator, Mapping
+    from collections.abc import Callable, Container, Iterable, Iterator, Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import Block, Channel
-    from odomcorrupt.bags.chunk import Chunk
+    from odomcorrupt.bags.block import Channel
 
+
+T = TypeVar("T")
 
 _ADVICE = re.compile(r"[;,]? *(?:try )?--recover\b.*\Z", re.DOTALL)
 
@@ -79,6 +82,10 @@ _CLOSE_BYTES = 1 << 13
 """Changed messages at most this many bytes apart are written at once, which takes no longer than two writes."""
 
 
+_ENOUGH_MESSAGES = 20_000
+"""More at once would save no more time."""
+
+
 class RecordReader(ABC):
     """Base class of readers of a file or pipe of records; see `BagReader`.
 
@@ -131,7 +138,8 @@ class RecordReader(ABC):
                     self._only = np.ones(1 << 16, dtype=bool)  # with channels of which the bag does not tell at its end
                     self._only[[number for number in self.channels if number not in only and number < 0xFFFF]] = False
                 source.seek(self._data_start)
-                yield from self._pass(source)
+                blocks = self._pass(source)
+                yield from blocks if self._only is None else map(_joined, _runs(blocks, _are_joined))
         else:
             if self._begun:
                 raise BagError(f"{self.name}: a pipe can be read once only; write it to a file first")
@@ -156,19 +164,26 @@ class RecordReader(ABC):
         assert block.changed is not None and not block.added  # noqa: S101, PT018 - so are those read for what changes
         is_changed = np.zeros(len(block.table), dtype=bool)  # np.unique would import numpy.ma
         is_changed[block.changed] = True
-        spans = _changed_spans(block, is_changed)
+        spans = _spans(block.table[is_changed], block.ends or (block.data.size,))
         source = (self.paths[0], self._source.descriptor, self._state)
         return [Original(*source, *place, changed) for place, changed in zip(block.sparse, spans, strict=True)]
 
     def _pass(self, source: Source) -> Iterator[Block]:
         """Yield the blocks of a source, and register channels on the way."""
-        for part in self._parts(source):
-            block = self._taken(part)
-            if block is not None:
-                yield block
+        for run in _runs(self._parts(source), self._goes_on):
+            if isinstance(run[0], Block):  # which is alone
+                yield run[0]
+            else:
+                yield from self._finished(run)  # type: ignore[arg-type]
 
-    def _finished(self, part: Chunk) -> Block:
-        """Return the messages of a chunk; with recovery those that are intact."""
+    def _goes_on(self, run: list[Chunk | Block], part: Chunk | Block) -> bool:
+        """Return whether a part is a chunk whose messages are found at once with those of others."""
+        alone = self._recover or not self.count  # the first chunk may be all that is asked for
+        return not alone and isinstance(part, Chunk) and isinstance(run[-1], Chunk) and run[-1].goes_on_with(part)
+
+    def _finished(self, run: list[Chunk]) -> Iterator[Block]:
+        """Yield the messages of chunks in one buffer; with recovery those of one that are intact."""
+        part = Chunk.joined(run)
         try:
             block = self._block(part.records, part)
             unknown = block.present() - self.channels.keys()
@@ -177,6 +192,9 @@ class RecordReader(ABC):
                     f"{part.what}: messages of channel {min(unknown)}, which the bag does not define; damaged bag"
                 )
         except BagError as error:
+            if part.ends:
+                yield from chain.from_iterable(self._finished([one]) for one in run)
+                return
             self._lose(error)
             block = self._block(self._whole_records(part.records), replace(part, indexes=[]), salvage=True)
             known = np.isin(block.table["channel"], list(self.channels))
@@ -184,14 +202,12 @@ class RecordReader(ABC):
         if self._recover:
             block = without(block, self._undecodable.find(block, self.channels))
         self.count += len(block.table)
-        if self._only is None or part.place is None:
-            return block
-        return self._thinned(block, part.place, part.crc, self._only)
+        yield block if self._only is None or not part.places else self._thinned(block, part.places, self._only)
 
-    def _thinned(self, block: Block, place: int, crc: int, only: NDArray[np.bool_]) -> Block:
-        """Return a chunk with only the messages of some channels, and each channel's first one.
+    def _thinned(self, block: Block, places: tuple[tuple[int, int], ...], only: NDArray[np.bool_]) -> Block:
+        """Return chunks with only the messages of some channels, and each channel's first one.
 
-        place, crc : position of its data in the file, and the stated CRC-32, 0 if there is none
+        places : position of each chunk's data in the file, and the stated CRC-32, 0 if there is none
         only : (n,) whether channel i is one of them; the last is true, and stands for those beyond
         """
         wanted = only.take(block.table["channel"], mode="clip")
@@ -201,13 +217,16 @@ class RecordReader(ABC):
         rows = block.table[wanted]
         if 2 * rows["length"].sum() > block.data.size:
             return block
-        data, end = self._sparse_pool.place(block.data.size), 0
+        data = self._sparse_pool.place(block.data.size)
         to, source = data.data, block.data.data
-        # with what lies between close ones, as it may be written with them
-        for begin, length in zip(rows["offset"].tolist(), rows["length"].tolist(), strict=True):
-            begin, end = end if end <= begin <= end + _CLOSE_BYTES else begin, begin + length  # noqa: PLW2901
-            to[begin:end] = source[begin:end]
-        return replace(block, data=data, sparse=((place, crc or crc32(source)),))
+        sparse, start = [], 0
+        ends = block.ends or (block.data.size,)
+        for (place, crc), end, spans in zip(places, ends, _spans(rows, ends), strict=True):
+            for begin, stop in spans:
+                to[start + begin : start + stop] = source[start + begin : start + stop]
+            sparse.append((place, crc or crc32(source[start:end])))
+            start = end
+        return replace(block, data=data, sparse=tuple(sparse))
 
     def _lose(self, error: BagError) -> None:
         """Record a loss with recovery, else raise the error."""
@@ -216,16 +235,12 @@ class RecordReader(ABC):
         self.losses.append(loss_of(error))
 
     @abstractmethod
-    def _parts(self, source: Source) -> Iterator[Any]:
-        """Yield chunks, and what is between them; each part's `data` are its bytes."""
-
-    @abstractmethod
-    def _taken(self, part: Any) -> Block | None:
-        """Return the block that a part becomes, or None where there is nothing to write in it."""
+    def _parts(self, source: Source) -> Iterator[Chunk | Block]:
+        """Yield chunks, and blocks of what is between them."""
 
     @abstractmethod
     def _block(self, data: NDArray[np.uint8], part: Chunk, *, salvage: bool = False) -> Block:
-        """Return a chunk's records as a block, and register the channels in it; BagError where it is damaged.
+        """Return the records of chunks as a block, and register the channels in it; BagError where one is damaged.
 
         data : (size,) the records
         salvage : whether definitions that cannot be read are left out
@@ -252,19 +267,55 @@ class RecordReader(ABC):
         self._source.close()
 
 
-def _changed_spans(block: Block, is_changed: NDArray[np.bool_]) -> list[list[tuple[int, int]]]:
-    """Return the spans (begin, end) of changed messages in each chunk of a block, bytes; close ones are merged."""
-    rows = block.table[is_changed]
-    chunk_ends = np.array(block.ends or (block.data.size,))
+def _runs(items: Iterable[T], goes_on: Callable[[list[T], T], bool]) -> Iterator[list[T]]:
+    """Yield items in runs: each item goes on with those before it, or begins another run."""
+    run: list[T] = []
+    for item in items:
+        if run and not goes_on(run, item):
+            yield run
+            run = []
+        run.append(item)
+    if run:
+        yield run
+
+
+def _are_joined(run: list[Block], block: Block) -> bool:
+    """Return whether a block lies directly behind others in a sparse buffer."""
+    few = sum(len(one.table) for one in [*run, block]) <= _ENOUGH_MESSAGES
+    return bool(block.sparse) and few and lies_behind(block.data, run[-1].data)
+
+
+def _joined(run: list[Block]) -> Block:
+    """Return blocks that lie side by side as one."""
+    if len(run) == 1:
+        return run[0]
+    begins = np.cumsum([0, *(block.data.size for block in run)]).tolist()
+    size = begins.pop()
+    ends = [begin + end for begin, one in zip(begins, run, strict=True) for end in one.ends or (one.data.size,)]
+    # as plain bytes: NumPy is slow at concatenating structured arrays
+    table = np.concatenate([block.table.view(np.uint8) for block in run]).view(TABLE)
+    table["offset"] += np.repeat(begins, [len(block.table) for block in run])
+    raw = run[0].raw.joined([block.raw for block in run[1:]], begins[1:])
+    sparse = tuple(one for block in run for one in block.sparse)
+    return Block(extended(run[0].data, size), table, raw, ends=tuple(ends), sparse=sparse)
+
+
+def _spans(rows: NDArray[np.void], ends: tuple[int, ...]) -> list[list[tuple[int, int]]]:
+    """Return the spans (begin, end) of messages in each chunk, bytes; close ones are merged.
+
+    rows : (n,) of dtype TABLE
+    ends : end offsets of the chunks
+    """
+    chunk_ends = np.array(ends)
     spans: list[list[tuple[int, int]]] = [[] for _ in chunk_ends]
     if not rows.size:
         return spans
-    begins, ends = rows["offset"], np.maximum.accumulate(rows["offset"] + rows["length"])
+    begins, stops = rows["offset"], np.maximum.accumulate(rows["offset"] + rows["length"])
     chunks = np.searchsorted(chunk_ends, begins, side="right")
-    apart = np.flatnonzero((begins[1:] > ends[:-1] + _CLOSE_BYTES) | (chunks[1:] != chunks[:-1])) + 1
+    apart = np.flatnonzero((begins[1:] > stops[:-1] + _CLOSE_BYTES) | (chunks[1:] != chunks[:-1])) + 1
     first, last = np.concatenate(([0], apart)), np.concatenate((apart - 1, [-1]))
     chunk_begins = np.concatenate(([0], chunk_ends))[chunks[first]]
-    found = (chunks[first], begins[first] - chunk_begins, ends[last] - chunk_begins)
+    found = (chunks[first], begins[first] - chunk_begins, stops[last] - chunk_begins)
     for chunk, begin, end in zip(*map(np.ndarray.tolist, found), strict=True):
         spans[chunk].append((begin, end))
     return spans

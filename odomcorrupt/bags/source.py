@@ -155,7 +155,7 @@ class BufferPool:
     def _take_buffer(self) -> None:
         self._buffer, self._used = np.empty(0, dtype=np.uint8), 0
         if self._sparse:
-            pages = mmap.mmap(-1, 16 * ARENA_BYTES)
+            pages = mmap.mmap(-1, 16 * ARENA_BYTES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
             pages.madvise(mmap.MADV_NOHUGEPAGE)
             self._buffer = np.frombuffer(pages, dtype=np.uint8)
             return
@@ -164,6 +164,24 @@ class BufferPool:
         self._buffer = np.frombuffer(memory.data, dtype=np.uint8)
         # All buffers are views of this array: without the last of them, the memory is free.
         weakref.finalize(self._buffer, self._free.append, memory).atexit = False
+
+
+def lies_behind(data: NDArray[np.uint8], before: NDArray[np.uint8]) -> bool:
+    """Return whether bytes lie directly behind others in the same buffer."""
+    same = isinstance(data.base, np.ndarray) and data.base is before.base
+    return same and _address(data) == _address(before) + before.size
+
+
+def extended(data: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
+    """Return as many bytes (size,) of a buffer from where those of a view of it begin."""
+    whole = data.base
+    assert isinstance(whole, np.ndarray)  # noqa: S101 - only what lies side by side is extended
+    begin = _address(data) - _address(whole)
+    return whole[begin : begin + size]
+
+
+def _address(data: NDArray[np.uint8]) -> int:
+    return int(data.__array_interface__["data"][0])
 
 
 MCAP: Final = b"\x89MCAP0\r\n"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.bags.block import Message, joined
+from odomcorrupt.bags.block import Message
 from odomcorrupt.bags.messages import TRANSFORMS, locate, pack_transform, stamps_or_log_ns
 from odomcorrupt.corruption.correction import PATIENCE_NS, Curve
 from odomcorrupt.corruption.odometry_source import (
@@ -317,7 +317,7 @@ class Transform:
             # sensors: the transform of another robot behind this one may change them
             read = PLACED_TYPES | SENSORS if self.options.consistent else PLACED_TYPES
             only = {n for n, channel in reader.channels.items() if self.may_move(channel) or channel.msgtype in read}
-        given = joined(reader.blocks(only)) if before is None else before
+        given = reader.blocks(only) if before is None else before
         for block in given:
             waiting.append(self._take(block, reader))
             while waiting and self._ready(waiting[0]):

@@ -7,6 +7,7 @@ import threading
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 from mcap.reader import NonSeekingReader, SeekingReader, make_reader
@@ -18,6 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
 from odomcorrupt.bags.block import Message
+from odomcorrupt.bags.chunk import Chunk
 from odomcorrupt.bags.messages import gather, locate, scatter
 from odomcorrupt.bags.open import open_reader, open_writer
 
@@ -127,6 +129,12 @@ def copy(source, target, change=None, *, stdin=None, **options):
                 change(reader, writer, block)
             writer.write(block)
     return target
+
+
+def by_chunk(path):
+    """Return the block of each chunk of a bag."""
+    with patch.object(Chunk, "goes_on_with", lambda *_: False), open_reader(path) as reader:
+        return [block for block in reader.blocks() if getattr(block.raw, "kind", "chunk") == "chunk"]
 
 
 def shift(reader, _writer, block):

@@ -7,7 +7,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from oracles import OFFICE_BAG, OFFICE_DB, OFFICE_MCAP, copy, mcap_messages, mcap_record_places, ros1_messages
+from oracles import OFFICE_BAG, OFFICE_DB, OFFICE_MCAP, by_chunk, copy, mcap_messages, mcap_record_places, ros1_messages
 from test_ros1 import packed, records
 
 from odomcorrupt.bags.open import open_reader, open_writer
@@ -152,8 +152,7 @@ def test_a_record_that_lies_about_its_length_costs_itself_alone(tmp_path):
     (tmp_path / "in.mcap").write_bytes(data)
     losses = recover(tmp_path / "in.mcap", tmp_path / "out.mcap")
     assert any(f"byte {chunks[2][1]}" in loss for loss in losses)
-    with open_reader(OFFICE_MCAP) as reader:
-        counts = [len(block.table) for block in reader.blocks() if block.raw.kind == "chunk"]
+    counts = [len(block.table) for block in by_chunk(OFFICE_MCAP)]
     saved, everything = mcap_messages(tmp_path / "out.mcap"), mcap_messages(OFFICE_MCAP)
     assert set(saved) < set(everything)
     assert len(saved) == len(everything) - counts[2] - counts[5]

@@ -5,11 +5,10 @@ import struct
 import pytest
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapLibraryWriter
-from oracles import OFFICE_BAG, copy, mcap_messages, mcap_record_places, ros1_messages
+from oracles import OFFICE_BAG, by_chunk, copy, mcap_messages, mcap_record_places, ros1_messages
 from test_recover import recover
 from test_ros1 import records
 
-from odomcorrupt.bags.open import open_reader
 from odomcorrupt.bags.source import ROS1 as MAGIC
 
 SCHEMA, CHUNK, INDEX, ROS1_CHUNK = 3, 6, 7, 5
@@ -35,8 +34,7 @@ def write(path, lengths, *, checksums=True):
 
 def counts_of(path):
     """Return how many messages each chunk holds."""
-    with open_reader(path) as reader:
-        return [len(block.table) for block in reader.blocks() if getattr(block.raw, "kind", "chunk") == "chunk"]
+    return [len(block.table) for block in by_chunk(path)]
 
 
 def judge(whole, saved, first, count):
@@ -111,8 +109,7 @@ def test_a_length_that_ends_between_two_messages_of_the_next_chunk_of_a_ros1_bag
             places.append((at, at + 8 + len(header), at + size))
         at += size
     counts = counts_of(whole)
-    with open_reader(whole) as reader:
-        starts = [block.raw.starts for block in reader.blocks()]
+    starts = [block.raw.starts for block in by_chunk(whole)]
     (_, content, end), (_, next_content, _) = places[3:5]
     missing = next_content + int(starts[4][5]) - end
     at = content + int(starts[3][2])

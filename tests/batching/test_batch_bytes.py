@@ -4,11 +4,13 @@ import json
 import shlex
 import zlib
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 from bagged import messages_in
 
+from odomcorrupt.bags.chunk import Chunk
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.batching.sinks import read_tum
 from odomcorrupt.cli import run
@@ -78,7 +80,7 @@ def test_split_has_the_messages_of_full_with_the_changed_ones_apart(name, codec,
     for k in range(2):
         file = f"run_{k:06d}{Path(name).suffix}"
         assert messages_of(here / "split" / file) == messages_of(here / "full" / file)
-    with open_reader(here / "split" / file) as reader:
+    with patch.object(Chunk, "goes_on_with", lambda *_: False), open_reader(here / "split" / file) as reader:
         odom = {c.id for c in reader.channels.values() if c.topic == "/odom"}
         others = [set(block.table["channel"].tolist()) for block in reader.blocks() if len(block.table)]
     assert any(odom & one for one in others)

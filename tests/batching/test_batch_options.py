@@ -5,6 +5,7 @@ import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from test_batch_bytes import BAGS, bytes_of, messages_of, records
 
 import odomcorrupt as oc
 from odomcorrupt.api.batch import Spread
+from odomcorrupt.bags.chunk import Chunk
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.cli import run
 from terminal import on_a_terminal
@@ -93,7 +95,8 @@ def test_split_parts_every_file_of_a_directory(options, here):
     for file in ("half_0.mcap", "half_1.mcap"):
         apart, whole = (messages_of(here / layout / "run_000001" / file) for layout in ("split", "same"))
         assert {topic: sorted(one) for topic, one in apart.items()} == {t: sorted(one) for t, one in whole.items()}
-    with open_reader(here / "split" / "run_000001" / "half_1.mcap") as reader:
+    half = here / "split" / "run_000001" / "half_1.mcap"
+    with patch.object(Chunk, "goes_on_with", lambda *_: False), open_reader(half) as reader:
         odom = {c.id for c in reader.channels.values() if c.topic == "/odom"}
         topics = {c.id: c.topic for c in reader.channels.values()}
         held = [set(block.table["channel"].tolist()) for block in reader.blocks() if len(block.table)]

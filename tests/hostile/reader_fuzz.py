@@ -73,7 +73,8 @@ class Inputs:
         by_channel: dict[int, list[bytes]] = {}
         with open_reader(None, io.BytesIO(data)) as reader:
             parts = list(reader._parts(reader._source))
-            self.contents[kind[:4]] += [(p.data.tobytes(), list(p.indexes)) for p in parts if isinstance(p, Chunk)]
+            chunks = [part for part in parts if isinstance(part, Chunk)]
+            self.contents[kind[:4]] += [(one.data.tobytes(), [index for _, index in one.indexes]) for one in chunks]
         with open_reader(None, io.BytesIO(data)) as reader:
             for block in reader.blocks():
                 for number, _, offset, length in block.table.tolist():
@@ -157,7 +158,9 @@ class ReaderFuzz:
     def _contents(self, kind: str, rng: Rng) -> str:
         data, indexes = self._chunk(self.inputs.contents[kind], rng)
         module, others = {"mcap": (of_mcap, "others"), "ros1": (of_ros1, "connections")}[kind]
-        got, walked = (module.read_contents(np.frombuffer(data, np.uint8), some, "chunk") for some in (indexes, []))
+        records = np.frombuffer(data, np.uint8)
+        parts = (Chunk("chunk", "none", records, [(0, index) for index in some]) for some in (indexes, []))
+        got, walked = (module.read_contents(part, records) for part in parts)
         if got.table.tolist() != walked.table.tolist() or getattr(got, others) != getattr(walked, others):
             raise FoundError("the index gives another table than the records")
         _require_within(got.table, len(data))

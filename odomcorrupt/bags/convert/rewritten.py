@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
-from odomcorrupt.bags.block import Block, Channel, Framing, Kind, joined, with_ids
+from odomcorrupt.bags.block import Block, Channel, Framing, Kind, with_ids
 from odomcorrupt.bags.messages import SCAN
 from odomcorrupt.bags.record_reader import loss_of
 from odomcorrupt.errors import BagError, TopicError
@@ -99,7 +99,7 @@ class RewrittenReader:
         wanted = None
         if only is not None:
             wanted = {n for n in self.reader.channels if (rule := self.rule_of(n)) and rule.channel.id in only}
-        for block in joined(self.reader.blocks(wanted)):
+        for block in self.reader.blocks(wanted):
             done = self._rewritten(block, wanted)
             self.count += len(done.table)
             if len(done.table) or not len(block.table):  # without messages: attachments and metadata of an MCAP

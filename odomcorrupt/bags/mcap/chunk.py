@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from odomcorrupt.bags.chunk import Chunk
     from odomcorrupt.bags.source import Source
 
 
@@ -160,16 +161,17 @@ class Contents(NamedTuple):
     others: list[Record]
 
 
-def read_contents(data: NDArray[np.uint8], indexes: list[bytes], what: str) -> Contents:
-    """Return the messages and other records of a chunk.
+def read_contents(part: Chunk, data: NDArray[np.uint8]) -> Contents:
+    """Return the messages and other records of chunks, whose indexes may be missing or wrong if it is a single one.
 
-    data : (size,) the decompressed chunk
-    indexes : contents of the message index records that follow it, possibly missing or wrong
+    data : (size,) the decompressed records
     """
-    indexed = _indexed(data, indexes)
+    indexed = _indexed(part, data)
     if indexed is not None:
         return indexed
-    walked, others = _walk(data.data, 0, data.size, what)
+    if part.ends:
+        raise BagError(part.what)  # they are read one by one then
+    walked, others = _walk(data.data, 0, data.size, part.what)
     starts = np.array(walked, dtype=np.int64)
     return Contents(_table(_heads(data, starts), starts), others)
 
@@ -182,19 +184,17 @@ def record_bytes(data: memoryview, at: int) -> int:
     return 0 if data[at] == 0 or (data[at] == Op.MESSAGE and size < MESSAGE_HEADER_BYTES) else size
 
 
-def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:
+def _indexed(part: Chunk, data: NDArray[np.uint8]) -> Contents | None:
     """Return the content by the indexes, or None where these are incomplete or wrong."""
-    entries = np.frombuffer(b"".join([index[6:] for index in indexes if (len(index) - 6) % 16 == 0]), INDEX_ENTRY)
-    starts = entries["offset"].astype(np.int64)  # beyond 2^63 they are negative
-    starts.sort()
-    if not starts.size or starts[0] < 0 or starts[-1] > data.size - MESSAGE_HEADER_BYTES:
+    starts = part.index_entries(6, INDEX_ENTRY)  # behind its channel and the size of the rest
+    if starts is None or not starts.size or starts[0] < 0 or starts[-1] > data.size - MESSAGE_HEADER_BYTES:
         return None
     heads = _heads(data, starts)
     lengths = heads["length"].astype(np.int64)  # as above
     if (heads["opcode"] != Op.MESSAGE).any() or lengths.max() > data.size or lengths.min() < 22:
         return None
     ends = starts + lengths + RECORD_HEADER_BYTES
-    gaps = gaps_between(starts, ends, data.size)
+    gaps = gaps_between(starts, ends, part.ends or (data.size,))
     if gaps is None:
         return None
     others: list[Record] = []
@@ -269,10 +269,6 @@ class McapFraming(Framing):
         """Return the offsets (n,) of the message records, bytes."""
         offsets: NDArray[np.int64] = table["offset"]
         return offsets - MESSAGE_HEADER_BYTES
-
-    def goes_on_with(self, other: object) -> bool:
-        """Return whether both are chunks of one compression."""
-        return self.kind == "chunk" and self == other
 
 
 def read_chunk_head(source: Source, length: int, what: str) -> ChunkHead:

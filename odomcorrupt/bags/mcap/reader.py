@@ -455,9 +455,7 @@ class McapReader(RecordReader):
             topics = f"{self.channels[channel.id].topic} and {channel.topic}"
             raise BagError(f"{self.name}: channel {channel.id} is defined twice, differently ({topics}); damaged bag")
         if channel.schema and channel.schema not in self.schemas:
-            raise BagError(
-                f"{self.name}: {channel.topic} has schema {channel.schema}, which is not defined; damaged bag"
-            )
+            raise BagError(f"{self.name}: {channel.topic} has schema {channel.schema}, not defined; damaged bag")
         name = self.schemas[channel.schema].name if channel.schema else ""
         package, _, leaf = name.partition("/")
         msgtype = f"{package}/msg/{leaf}" if leaf and "/" not in leaf else name
@@ -495,13 +493,11 @@ class McapReader(RecordReader):
         """Return a chunk with an index added, or records outside of chunks with another one."""
         if opcode == Op.MESSAGE_INDEX:
             if isinstance(pending, Chunk):  # else there is no chunk for it
-                pending.indexes.append(content)
+                pending.indexes.append((0, content))
             return pending
         if opcode == Op.MESSAGE and len(content) < _SHORTEST_MESSAGE:
-            raise BagError(
-                f"{self.name}: {what}: a message record of {len(content)} bytes is shorter than its fields; damaged bag"
-            )
-        found = pending if isinstance(pending, Chunk) else Chunk.outside(f"{self.name}: messages outside chunks")
+            raise BagError(f"{self.name}: {what}: {len(content)} bytes are shorter than a message record; damaged bag")
+        found = pending if isinstance(pending, Chunk) else Chunk(f"{self.name}: messages outside chunks")
         found.loose.extend(record(opcode, content))
         return found
 
@@ -603,17 +599,15 @@ class McapReader(RecordReader):
         except BagError as error:
             self._lose(error)
 
-    def _taken(self, part: Chunk | Block) -> Block:
-        return part if isinstance(part, Block) else self._finished(part)
-
     def _block(self, data: NDArray[np.uint8], part: Chunk, *, salvage: bool = False) -> Block:
-        contents = read_contents(data, part.indexes, part.what)
+        contents = read_contents(part, data)
         for opcode, start, end in contents.others:
             if opcode in (Op.SCHEMA, Op.CHANNEL):
                 # an unreadable one matters only if messages use it
                 with suppress(BagError) if salvage else nullcontext():
                     self._register(opcode, data[start:end].tobytes())
-        return Block(data, contents.table, McapFraming(part.codec, "loose" if part.loose else "chunk"))
+        framing = McapFraming(part.codec, "loose" if part.loose else "chunk")
+        return Block(data, contents.table, framing, ends=part.ends)
 
     _whole_records = staticmethod(whole_records)
 

@@ -295,11 +295,9 @@ def frame(
     sequences : next sequence number of each channel, which is counted on
     chunks : where chunks end in data; what is framed ends there, too
     """
-    if table["log_ns"].min(initial=0) < 0:
-        raise BagError(
-            f"log time {table['log_ns'].min()} ns: is before 1970, which MCAP cannot represent; write the input's "
-            "format"
-        )
+    first_ns = table["log_ns"].min(initial=0)
+    if first_ns < 0:
+        raise BagError(f"log time {first_ns} ns: is before 1970, which no MCAP can have; write the input's format")
     lengths = table["length"]
     ends = np.cumsum(lengths + MESSAGE_HEADER_BYTES)
     framed = table.copy()

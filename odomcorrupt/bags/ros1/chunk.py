@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from odomcorrupt.bags.chunk import Chunk
     from odomcorrupt.bags.source import Source
 
 
@@ -141,13 +143,15 @@ class _Template:
     time: int
 
 
-def read_contents(data: NDArray[np.uint8], indexes: list[bytes], what: str) -> Contents:
-    """Return the messages and connections of a chunk.
+def read_contents(part: Chunk, data: NDArray[np.uint8]) -> Contents:
+    """Return the messages and connections of chunks, whose indexes may be missing or wrong if it is a single one.
 
-    data : (size,) the decompressed chunk
-    indexes : data of the index records that follow it, possibly wrong
+    data : (size,) the decompressed records
     """
-    return _indexed(data, indexes) or _walk(data.data, 0, data.size, what)
+    indexed = _indexed(part, data)
+    if part.ends and indexed is None:
+        raise BagError(part.what)  # they are read one by one then
+    return indexed or _walk(data.data, 0, data.size, part.what)
 
 
 def record_bytes(data: memoryview, at: int) -> int:
@@ -163,13 +167,11 @@ def record_bytes(data: memoryview, at: int) -> int:
     return end + 4 + int.from_bytes(data[end : end + 4], "little") - at
 
 
-def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:
+def _indexed(part: Chunk, data: NDArray[np.uint8]) -> Contents | None:
     """Return the content by the index, or None where it is incomplete or wrong."""
-    if not indexes or sum(map(len, indexes)) % INDEX_ENTRY.itemsize:
-        return None
-    starts = np.sort(np.frombuffer(b"".join(indexes), dtype=INDEX_ENTRY)["offset"].astype(np.int64))
-    template = _template(data, int(starts[0])) if starts.size else None
-    if template is None or starts[-1] > data.size - template.head.size - 4:
+    starts = part.index_entries(0, INDEX_ENTRY)
+    template = _template(data, int(starts[0])) if starts is not None and starts.size else None
+    if starts is None or template is None or starts[-1] > data.size - template.head.size - 4:
         return None
     width = template.head.size
     heads = windows(data, width + 4)[starts].view(np.uint8).reshape(-1, width + 4)
@@ -181,7 +183,7 @@ def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:
     table["log_ns"] = times["s"].astype(np.int64) * SECOND_NS + times["ns"]
     table["offset"] = starts + width + 4
     table["length"] = _column(heads, width, np.dtype("<u4"))
-    connections = _between(data, gaps_between(starts, table["offset"] + table["length"], data.size))
+    connections = _between(data, gaps_between(starts, table["offset"] + table["length"], part.ends or (data.size,)))
     return None if connections is None else Contents(table, starts, connections)
 
 
@@ -212,16 +214,10 @@ def _template(data: NDArray[np.uint8], start: int) -> _Template | None:
     mask = np.full(head.size, 255, dtype=np.uint8)
     mask[conn + 9 : conn + 13] = 0
     mask[time + 9 : time + 17] = 0
-    if sum(len(name) + 5 + len(value) for name, value in _fields_or_none(raw[4:]).items()) != length:
-        return None
-    return _Template(head & mask, mask, conn + 9, time + 9)
-
-
-def _fields_or_none(header: bytes) -> dict[str, bytes]:
-    try:
-        return parse_fields(header, "")
-    except BagError:
-        return {}
+    with suppress(BagError):
+        if sum(len(name) + 5 + len(value) for name, value in parse_fields(raw[4:], "").items()) == length:
+            return _Template(head & mask, mask, conn + 9, time + 9)
+    return None
 
 
 def _column(heads: NDArray[np.uint8], offset: int, kind: np.dtype[Any]) -> NDArray[Any]:
@@ -280,10 +276,6 @@ class Ros1Framing(Framing):
     def kept(self, begins: NDArray[np.int64]) -> Ros1Framing:
         """Return the framing of some of the messages."""
         return Ros1Framing(self.codec, begins)
-
-    def goes_on_with(self, other: object) -> bool:
-        """Return whether both are chunks of one compression."""
-        return isinstance(other, Ros1Framing) and self.codec == other.codec
 
     def joined(self, behind: list[Ros1Framing], begins: list[int]) -> Ros1Framing:
         """Return the framing of this chunk joined with those after it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -174,13 +174,6 @@ def _kind_at(window: bytes, at: int, left: int) -> int | None:
     return kind if kind in _KINDS and size <= left - length - 8 else None
 
 
-class _Connected(NamedTuple):
-    """A connection record between chunks: its header, and its data."""
-
-    header: bytes
-    data: bytes
-
-
 class Ros1Reader(RecordReader):
     """A ROS 1 bag, file or pipe.
 
@@ -243,8 +236,8 @@ class Ros1Reader(RecordReader):
         kept.pop("message_definition", None)
         return Definition(connection.type, "ros1msg", connection.fields.get("message_definition", b""), kept)
 
-    def _parts(self, source: Source) -> Iterator[Chunk | _Connected]:
-        """Yield chunks, and connections between them."""
+    def _parts(self, source: Source) -> Iterator[Chunk]:
+        """Yield chunks, and register the connections between them."""
         chunk: Chunk | None = None
         for head in self._heads(source):
             if chunk and not (head.op == Op.INDEX or (head.op == Op.MESSAGE and 0 < len(chunk.loose) < BATCH_BYTES)):
@@ -257,8 +250,6 @@ class Ros1Reader(RecordReader):
                         if chunk:
                             yield chunk
                         chunk = part
-                elif head.op == Op.CONNECTION and not self._recover:
-                    yield _Connected(head.header, source.read(head.size, head.what))
                 else:
                     chunk = self._take(head, source.read(head.size, head.what), chunk)
             except BagError as error:
@@ -303,12 +294,12 @@ class Ros1Reader(RecordReader):
         """Process a record between chunks; return the chunk being collected."""
         if head.op == Op.INDEX:
             if chunk:
-                chunk.indexes.append(data)
+                chunk.indexes.append((0, data))
         elif head.op == Op.CONNECTION:
             self._learn(head.header, data)
         elif head.op == Op.MESSAGE and self._recover:
             # The recorder died while it wrote this chunk: its messages stand outside of it.
-            chunk = chunk or Chunk.outside(f"{self.name}: {head.what}")
+            chunk = chunk or Chunk(f"{self.name}: {head.what}")
             chunk.loose.extend(pack_record(head.header, data))
         elif head.op == Op.CHUNK_INFO and self._recover:
             self._seen += _counted(data)
@@ -319,19 +310,13 @@ class Ros1Reader(RecordReader):
             )
         return chunk
 
-    def _taken(self, part: Chunk | _Connected) -> Block | None:
-        if isinstance(part, Chunk):
-            return self._finished(part)
-        self._learn(*part)
-        return None
-
     def _block(self, data: NDArray[np.uint8], part: Chunk, *, salvage: bool = False) -> Block:
-        contents = read_contents(data, part.indexes, part.what)
+        contents = read_contents(part, data)
         for header, fields in contents.connections:
             # an unreadable one matters only if messages use it
             with suppress(BagError) if salvage else nullcontext():
                 self._learn(header, fields)
-        return Block(data, contents.table, Ros1Framing(part.codec, contents.starts))
+        return Block(data, contents.table, Ros1Framing(part.codec, contents.starts), ends=part.ends)
 
     _whole_records = staticmethod(whole_records)
 

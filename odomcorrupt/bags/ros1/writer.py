@@ -165,10 +165,7 @@ class Connections(OutputChannels):
 
     def _make(self, channel: Channel, definition: Definition) -> None:
         if channel.encoding != "ros1":
-            raise BagError(
-                f"{channel.topic}: messages are {channel.encoding}, but a ROS 1 bag holds ros1 messages; write an MCAP "
-                "instead"
-            )
+            raise BagError(f"{channel.topic}: has {channel.encoding} messages, a ROS 1 bag holds ros1; write an MCAP")
         metadata = definition.metadata
         fields = {
             "topic": channel.topic.encode(),

@@ -121,9 +121,7 @@ def _decompress(data: memoryview, what: str, budget: Budget) -> bytes:
         budget.take(size, what)
         out: bytes = zstandard.ZstdDecompressor().decompress(data)
     except (zstandard.ZstdError, MemoryError, ValueError) as error:
-        raise BagError(
-            f"{what}: zstd cannot decompress it: {error}; the bag is damaged, --recover saves the intact part"
-        ) from error
+        raise BagError(f"{what}: zstd cannot decompress it: {error}; --recover saves the intact part") from error
     return out
 
 
