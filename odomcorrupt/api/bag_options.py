@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, TypedDict
 from odomcorrupt.corruption.run import Container
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.mapping.conditioned import read_condition
 from odomcorrupt.sensors.noise import read_imu
 
 if TYPE_CHECKING:
@@ -97,5 +96,7 @@ def drive_path(bag: str | PathLike[str]) -> Path:
 def as_condition(within: MapCondition | str | PathLike[str] | None) -> MapCondition | None:
     """Return a map condition unchanged, or read it from the path of a map; None without a map."""
     if isinstance(within, str | PathLike):
+        from odomcorrupt.mapping.conditioned import read_condition
+
         return read_condition(fspath(within))
     return within

@@ -18,8 +18,7 @@ from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.bags.provenance import ProvenanceWatcher
 from odomcorrupt.bags.source import temporary_copy, temporary_folder
-from odomcorrupt.correction.run import brief as correction_brief
-from odomcorrupt.correction.run import correct_bag, correction_summary, require_start
+from odomcorrupt.correction import run as correction
 from odomcorrupt.corruption.correction import Curve
 from odomcorrupt.corruption.covariance import pose_covariance
 from odomcorrupt.corruption.patch import Motions, TopicTwist
@@ -28,12 +27,10 @@ from odomcorrupt.corruption.run import Outcome, corrupt_bag
 from odomcorrupt.corruption.summary import brief, oddities
 from odomcorrupt.corruption.summary import summary as paragraph
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.forecasting.forecast import clean_drive_of
 from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.model.motion_model import NOISE_FREE
 from odomcorrupt.report.plain import picked
 from odomcorrupt.rng import draw_seed
-from odomcorrupt.trajectories import read_drive
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -140,6 +137,7 @@ class Corruption(Result):
 
     def _figure(self) -> Figure:
         from odomcorrupt.report.plots.paths import draw_corruption
+        from odomcorrupt.trajectories import read_drive
 
         if "-" in (self.source, self.target):
             raise OdomCorruptError("a picture of a corruption: reads both bags again, which is impossible on a pipe")
@@ -196,8 +194,9 @@ def corrupt(
     watcher = ProvenanceWatcher(watch)
     with ExitStack() as kept:
         path, bag = None, bag_path(source)
-        if condition is not None:
-            # a path within a map is drawn for the whole drive at once
+        if condition is not None:  # a path within a map is drawn for the whole drive at once
+            from odomcorrupt.forecasting.forecast import clean_drive_of
+
             bag = temporary_copy(sys.stdin.buffer, temporary_folder(kept) / "bag", "stdin") if bag is None else bag
             drive = clean_drive_of(bag, chosen.motion_model, moved, recover=container.recover)
             path = condition.path(chosen.motion_model, drawn, run, drive)
@@ -234,11 +233,11 @@ class Correction(Result):
 
     def summary(self) -> Summary:
         """Return the effects removed, how far that moved the odometry, and the remaining error."""
-        return correction_brief(self.outcome, self.target)
+        return correction.brief(self.outcome, self.target)
 
     def details(self) -> str:
         """Return the complete result in one paragraph."""
-        return correction_summary(self.outcome)
+        return correction.correction_summary(self.outcome)
 
     def _values(self) -> dict[str, Any]:
         effects, run = self.outcome.effects, self.outcome.run
@@ -260,6 +259,7 @@ class Correction(Result):
 
     def _figure(self) -> Figure:
         from odomcorrupt.report.plots.paths import draw_corruption
+        from odomcorrupt.trajectories import read_drive
 
         before, after = (read_drive(Path(path), self.outcome.run.odometry) for path in (self.source, self.target))
         return draw_corruption(before.xyt, after.xyt, Path(self.target).name, names=("measured", "corrected"))
@@ -306,9 +306,9 @@ def correct(
     moved, container = split_options(options)
     robot = NOISE_FREE if model is None else as_model(model).motion_model
     if start_xyt is None:
-        require_start(robot)
+        correction.require_start(robot)
     start = None if start_xyt is None or start_xyt == "odom" else np.array(start_xyt, dtype=np.float64)
-    outcome = correct_bag(
+    outcome = correction.correct_bag(
         before, bag_path(target), robot, options=moved, container=container, start_xyt=start, watch=watch
     )
     return Correction(fspath(source), fspath(target), outcome)

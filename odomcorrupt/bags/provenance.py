@@ -7,10 +7,8 @@ from contextlib import suppress
 from io import BytesIO
 from typing import TYPE_CHECKING
 
-from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode as Op
-from mcap.records import Metadata
 
 from odomcorrupt.bags.mcap.chunk import RECORD_HEADER_BYTES, McapFraming
 from odomcorrupt.errors import BagError
@@ -18,6 +16,8 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
+
+    from mcap.records import Metadata
 
     from odomcorrupt.bags.block import Block
 
@@ -64,4 +64,7 @@ class ProvenanceWatcher:
 
 def metadata_of(block: Block) -> Metadata:
     """Return the metadata record that a block of an MCAP consists of."""
+    from mcap.data_stream import ReadDataStream  # noqa: PLC0415 - slow to import, and seldom needed
+    from mcap.records import Metadata  # noqa: PLC0415 - as above
+
     return Metadata.read(ReadDataStream(BytesIO(block.data.tobytes()[RECORD_HEADER_BYTES:])))
