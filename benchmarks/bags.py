@@ -164,37 +164,48 @@ def discard(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def measure(
-    case: Case, folder: Path, given: argparse.Namespace, times: float = 1.0
-) -> tuple[float, dict[str, list[Spent]]]:
-    """Return the size in MB of a bag `times` as long, and what each command took in each round."""
-    source, target = case.file(folder, "in"), case.file(folder, "out")
-    WRITERS[case.format](source, case.kind, case.codec, times * given.seconds * TIMES[case.length])
-    files = source.iterdir() if source.is_dir() else [source]
-    size = sum(file.stat().st_size for file in files) / 1e6
-    measured = commands(case, source, target, given)
+@dataclass
+class Measured:
+    """A bag, and what each command took with it in each round.
+
+    size : MB
+    """
+
+    size: float
+    taken: dict[str, list[Spent]]
+
+
+def measure(case: Case, folder: Path, given: argparse.Namespace, lengths: tuple[float, ...] = (1.0,)) -> list[Measured]:
+    """Return what each command took with bags of these lengths, all of them in each round."""
+    bags: list[tuple[Path, Path, dict[str, list[str]]]] = []
+    found: list[Measured] = []
+    for times in lengths:
+        source, target = case.file(folder, f"in_{times:g}"), case.file(folder, f"out_{times:g}")
+        WRITERS[case.format](source, case.kind, case.codec, times * given.seconds * TIMES[case.length])
+        files = source.iterdir() if source.is_dir() else [source]
+        bags.append((source, target, commands(case, source, target, given)))
+        found.append(Measured(sum(file.stat().st_size for file in files) / 1e6, {name: [] for name in bags[-1][2]}))
     first = ["chrt", "--rr", "10"] if given.first else []
-    taken: dict[str, list[Spent]] = {name: [] for name in measured}
-    for _ in range(1 + given.rounds):
-        for name, command in measured.items():
-            warm_up(source, target)
-            taken[name].append(spent([*first, *command], environment(folder)))
-            discard(target)
-    discard(source)
-    return size, {name: all_[1:] for name, all_ in taken.items()}
+    for number in range(1 + given.rounds):
+        for (source, target, measured), one in zip(bags, found, strict=True):
+            for name, command in measured.items():
+                warm_up(source, target)
+                took = spent([*first, *command], environment(folder))
+                one.taken[name] += [took] if number else []  # the first round compiles
+                discard(target)
+    for source, *_ in bags:
+        discard(source)
+    return found
 
 
 def slopes(case: Case, folder: Path, given: argparse.Namespace) -> str:
     """Return a row for each command: wall and CPU time of no bytes, and of each GB, by a line through three sizes."""
-    sizes, rounds = [], []
-    for times in SIZES:
-        size, taken = measure(case, folder, given, times)
-        sizes.append(size * 1e-3)
-        rounds.append(taken)
+    found = measure(case, folder, given, SIZES)
+    sizes, rounds = [one.size * 1e-3 for one in found], [one.taken for one in found]
     rows, per_gb = [], {}
     for name in rounds[0]:
         for what in ("wall_s", "cpu_s"):
-            # a line for each round, whose commands were interleaved
+            # a line for each round, whose commands and sizes were interleaved
             lines = [
                 statistics.linear_regression(sizes, [getattr(taken[name][number], what) for taken in rounds])
                 for number in range(given.rounds)
@@ -248,12 +259,12 @@ def main() -> None:
         for case in CASES:
             if given.only and case.name not in given.only:
                 continue
-            size, taken = measure(case, Path(folder), given)
-            took = {name: _median(rounds) for name, rounds in taken.items()}
+            (one,) = measure(case, Path(folder), given)
+            took = {name: _median(rounds) for name, rounds in one.taken.items()}
             ours, copied = took["odomcorrupt"], took["cp"]
             ratios = [_ratio(name, ours, took[name], goal) for name, goal in case.goals.items() if name in took]
             print(
-                f"| {case.name} | {size:.0f} | {ours.cpu_s:.2f}, {ours.wall_s:.2f} | {copied.cpu_s:.2f}, "
+                f"| {case.name} | {one.size:.0f} | {ours.cpu_s:.2f}, {ours.wall_s:.2f} | {copied.cpu_s:.2f}, "
                 f"{copied.wall_s:.2f} | {'; '.join(ratios)} |",
                 flush=True,
             )
