@@ -426,7 +426,10 @@ _REJECTED = (
     "The last model is still rejected: predicted errors do not include slowly varying noise or bursts, and there may "
     "be a cause that is not in the library. What the error depends on is drawn below."
 )
-_UNKNOWN = "Residual error after all effects found are removed, as a curve with two standard errors."
+_UNKNOWN = (
+    "Truth minus odometry as a curve that is fitted together with the effects found, with two standard errors. A "
+    "constant may be in the curve or in one of these effects: its shape counts, not its level."
+)
 
 
 def _verdict(learned: Learned, sequence: Comparison) -> str:
@@ -481,9 +484,8 @@ def _detectable(advice: Advice) -> list[str]:
 
 
 _SEARCH_LEGEND = (
-    "Held-out: each model was evaluated on data that it was not fitted to: other recordings, or the other half of the "
-    "only one. Nats: log likelihood; 10 nats correspond to odds of twenty thousand to one. The detectable size is 4.2 "
-    "standard errors."
+    "Held-out: on data that a model was not fitted to, other recordings or the other half of the only one. Nats: log "
+    "likelihood; 10 nats are odds of twenty thousand to one. The detectable size is 4.2 standard errors."
 )
 
 
