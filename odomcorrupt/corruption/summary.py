@@ -67,7 +67,7 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
     odd = [sentence for sentence in oddities(outcome) if not sentence.startswith("Lost: ")]
     true = outcome.with_true_motion
     lines += [Line("note", remark, "warning", FOUND) for remark in remarks if remark]
-    named = suggested(name for c in outcome.channels for name in (c.topic, c.msgtype))
+    named = suggested([*outcome.stayed, *(name for c in outcome.channels for name in (c.topic, c.msgtype))])
     if named and outcome.model.source.get("preset") == DEFAULT:
         lines.append(Line("note", f"looks like a {named}: --preset {named} has its numbers", "warning"))
     if true and not is_identity:

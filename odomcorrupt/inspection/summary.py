@@ -250,7 +250,7 @@ def brief(values: dict[str, Any], name: str) -> Summary:
     edges = [f"{e['parent']} -> {e['child']}" for e in values["edges"] if e["moved"]]
     topics = [o["topic"] for o in values["odometry"] if o["moved"]]
     lines.append(Line("moves", ", ".join([*topics, *(f"TF {edge}" for edge in edges)]) or "nothing"))
-    named = suggested([name for t in values["topics"] for name in (t["topic"], t["type"])])
+    named = suggested(name for one in (*values["topics"], *values["edges"]) for name in map(str, one.values()))
     lines += [Line("robot", f"looks like a {named}: --preset {named}")] if named else []
     if values["still_true"]:
         lines.append(leaks_line(values["still_true"]))

@@ -105,7 +105,7 @@ PRESETS: Mapping[str, Preset] = {
                ("turtlebot3", "tb3", "sensor_state")),
         _robot("turtlebot3-waffle", "differential", 0.287, "track 0.287 m (ROBOTIS e-Manual)", ("waffle",)),
         _robot("turtlebot4", "differential", 0.233, "iRobot Create 3: track 0.233 m (create3_sim, control.yaml)",
-               ("irobot_create", "turtlebot4", "create3", "hazard_detection")),
+               ("irobot_create", "turtlebot4", "create3", "hazard_detection", "ir_intensity")),
         _robot("husky", "skid", 1.070, "Clearpath Husky A200: track 0.5708 m times 1.875 (its driver)",
                ("husky",)),
         _robot("jackal", "skid", 0.563, "Clearpath Jackal: track 0.37559 m times 1.5 (its driver)",

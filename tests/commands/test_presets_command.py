@@ -69,11 +69,12 @@ def test_a_batch_draws_a_robot_within_the_range_of_a_preset(name, tmp_path, monk
         (["/hazard_detection", "irobot_create_msgs/msg/HazardDetectionVector"], "turtlebot4"),
         (["/husky_velocity_controller/odom"], "husky"),
         (["/rosbot_base_controller/odom"], "rosbot"),
+        (["base_link -> ir_intensity_left"], "turtlebot4"),
         (["ackermann_msgs/msg/AckermannDriveStamped"], "ackermann"),
         (["/husky_velocity_controller/odom", "/jackal_velocity_controller/odom"], ""),
     ],
 )
-def test_topics_and_types_give_a_robot_away(names, found):
+def test_topics_types_and_frames_give_a_robot_away(names, found):
     assert suggested(names) == found
 
 
