@@ -365,16 +365,17 @@ class OdometrySource:
 
 
 MOTION_TYPES = frozenset({
-    "DynamicJointState", "EstimatorStates", "GPSFix", "Imu", "JointState", "LinkStates", "MagneticField", "ModelStates",
-    "NavSatFix", "Odometry", "ParticleCloud", "Path", "PointStamped", "Pose", "Pose2D", "PoseArray", "PoseStamped",
-    "PoseWithCovariance", "PoseWithCovarianceStamped", "SensorCombined", "SensorGps", "SensorState", "TransformStamped",
-    "TwistStamped", "TwistWithCovariance", "TwistWithCovarianceStamped", "VehicleAcceleration",
-    "VehicleAngularVelocity", "VehicleAttitude", "VehicleGlobalPosition", "VehicleImu", "VehicleLocalPosition",
-    "VehicleOdometry",
+    "DynamicJointState", "EstimatorStates", "GPSFix", "GeoPointStamped", "GeoPoseStamped", "Imu", "JointState",
+    "LinkStates", "MagneticField", "ModelStates", "MultiDOFJointState", "NavPVT", "NavSatFix", "Odometry",
+    "ParticleCloud", "Path", "PointStamped", "Pose", "Pose2D", "PoseArray", "PoseStamped", "PoseWithCovariance",
+    "PoseWithCovarianceStamped", "SensorCombined", "SensorGps", "SensorState", "TransformStamped", "TwistStamped",
+    "TwistWithCovariance", "TwistWithCovarianceStamped", "VehicleAcceleration", "VehicleAngularVelocity",
+    "VehicleAttitude", "VehicleGlobalPosition", "VehicleImu", "VehicleLocalPosition", "VehicleOdometry",
+    "VelocityReport",
 })  # fmt: skip
 """Messages that carry motion or poses, of whatever package: last part of the type."""
 
-_WHEELS = re.compile(r"wheel_?(tick|vel|speed|state|stat|odom|enc|rpm|angle|pos|count)|ticks?\b|encoder", re.IGNORECASE)
+_WHEELS = re.compile(r"(?i)wheels?[_/]?(tick|vel|speed|state|stat|odom|enc|rpm|angle|pos|count)|ticks?\b|encoder|rpm")
 """Types, or topics of plain numbers, that carry the motion of wheels."""
 
 _COMMANDS = re.compile(r"cmd|command|target|setpoint|desired|reference")
@@ -394,7 +395,6 @@ FRAMED_TYPES = {
     "visualization_msgs/msg/MarkerArray": 4,
 }
 """Message types that contain the true motion if given in the odom frame, and the byte of their (first) header."""
-
 
 PLACED_TYPES = FRAMED_TYPES.keys() - {"sensor_msgs/msg/PointCloud2", "nav2_msgs/msg/VoxelGrid"}
 """Those that are read for their frame's sake alone."""

@@ -35,6 +35,9 @@ def channel(number, topic, msgtype, encoding="cdr"):
         ("/fmu/out/vehicle_odometry", "px4_msgs/msg/VehicleOdometry", True),
         ("/fmu/out/vehicle_status", "px4_msgs/msg/VehicleStatus", False), ("/left_ticks", "std_msgs/msg/Int32", True),
         ("/left_wheel_speed", "std_msgs/msg/Float32", True), ("/left_wheel_speed_cmd", "std_msgs/msg/Float32", False),
+        ("/left_wheel/velocity", "std_msgs/msg/Float64", True), ("/rpm", "std_msgs/msg/Int16MultiArray", True),
+        ("/geo", "geographic_msgs/msg/GeoPoseStamped", True), ("/navpvt", "ublox_msgs/msg/NavPVT", True),
+        ("/velocity_status", "autoware_vehicle_msgs/msg/VelocityReport", True),
         ("/temperature", "std_msgs/msg/Float32", False),
     ],
 )  # fmt: skip

@@ -173,7 +173,8 @@ def heard(bag: Path, *listeners: list[str], beside: list[str] | None = None) -> 
 
     beside : words of a program that runs meanwhile
     """
-    if not all(shutil.which(name, path="/usr/bin") for name in ("roscore", "rosbag", "rosmaster")):
+    words = [DEBIAN, "-c", "import nav_msgs, rosbag, roslaunch, rosmaster, rospy, rostopic, tf2_ros"]
+    if shutil.which(DEBIAN) is None or subprocess.run(words, capture_output=True, check=False).returncode:
         return None
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
