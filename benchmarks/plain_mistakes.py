@@ -182,7 +182,7 @@ def plant(seed: int, seconds: float = 100.0) -> Case:  # noqa: C901, PLR0912, PL
     elif what == "truth degrees":
         yaw, right = np.degrees(yaw), ("unit of headings",)
     elif what == "truth frozen":
-        yaw, right = 0.0 * yaw, ("headings of the truth",)
+        yaw = 0.0 * yaw  # as of satellites: its positions alone are used
     rate = float(rng.choice([50.0, 20.0, 10.0] if headed else [20.0, 10.0, 5.0]))
     rows = np.arange(0, len(robot.t_s), int(HZ / rate))
     scale = 100.0 if what == "truth unit" else 1.0

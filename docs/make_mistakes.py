@@ -24,6 +24,7 @@ parts of the model, however large, so that `correct` undoes them in these bags (
 nothing can be learned, the command ends with that line and exit code 1. `info` names the rows marked (alone) without a
 truth.
 
+A truth whose headings never change (a receiver of satellites that fills in no orientation) is one of positions alone.
 Of odometry and truth the one is wrong that contradicts itself, or else the one that a gyro in the bag contradicts (its
 z axis up), or the odometry if its own wheel joints do. If nothing decides, both are named.
 
@@ -39,7 +40,8 @@ FIGURES = {
     "fault": "whether the odometry or the truth is wrong, these data do not show", "share": "6%",
     "how": "drives forwards there", "far": 1000,
     "travels": "3.3 times as far as", "turns": "10 times as far as", "hint": "", "v": 0.303,
-    "rate": 0.5, "doubt": "", "lost": 60, "each": "left -1.00, right 1.00", "explained": "99.8%",
+    "rate": 0.5, "doubt": "", "lost": 60, "each": "that count left -1.00, right 1.00 times their way",
+    "explained": "99.8%",
     "cause": "a wheel counts the wrong way (its channels are exchanged), counts nothing, or by another factor",
     "change": "negate the counts of that wheel, or multiply them", "then": "this is undone in the odometry",
     "most": 160, "hint_turn": "", "separation": 10, "agree": "turns agree", "track": " (0.016 -> 0.16 m)",
@@ -47,7 +49,8 @@ FIGURES = {
 }  # fmt: skip
 """Example of each figure."""
 OWN = {
-    "plane": {"who": "/truth"}, "headings of the truth": {"who": "/truth"},
+    "plane": {"who": "/truth"}, "headings of the truth": {"who": "/truth", "what": "are 0 or 180 deg alone"},
+    "repeated poses": {"longest": 25.0, "count": 1},
     "clock rate": {"factor": 2.0}, "stands still": {"share": "50%"},
     "unit of stamps": {"unit": "milliseconds"},
     "turns too far": {"usual": 4}, "Euler steps": {"at": "beginning", "most": 22},

@@ -76,15 +76,15 @@ class ComponentOrder:
 
 
 def lacks_w(quat_xyzw: Array) -> int:
-    """Return how many quaternions (n, 4) have a w of 0 and are neither zero nor of unit length: w was never set."""
+    """Return how many quaternions (n, 4) have a w of 0 or 1 and are neither zero nor of unit length: w was not set."""
     with np.errstate(all="ignore"):
         length2 = np.sum(quat_xyzw**2, axis=1)
-    return _count((quat_xyzw[:, 3] == 0.0) & (length2 > 0.0) & (np.abs(length2 - 1.0) > 1e-3))
+    return _count(np.isin(quat_xyzw[:, 3], (0.0, 1.0)) & (length2 > 0.0) & (np.abs(length2 - 1.0) > 1e-3))
 
 
 W_FIRST = (
-    "its quaternions roll while they never turn: their components are w, x, y, z in the place of x, y, z, w. Write "
-    "x, y, z, w and record again"
+    "its quaternions roll while they never turn: their components are w, x, y, z in the place of x, y, z, w, or its "
+    "attitude turns about x. Write x, y, z, w with the yaw about z, and record again"
 )
 """What is wrong with quaternions in the other order, and the way out."""
 
@@ -259,7 +259,7 @@ class PoseFaults:
         if self.no_orientation:
             said.append(f"{self.no_orientation} {ZERO}: not used, and left unchanged")
         if self.no_w:
-            said.append(f"{self.no_w} orientations are no unit quaternions, w is 0: set w = cos(yaw / 2)")
+            said.append(f"{self.no_w} orientations are no unit quaternions, w is 0 or 1: set w = cos(yaw / 2)")
         if self.upright:
             said.append(f"{self.upright} poses pitch beyond 85 deg: their heading is that of the z axis")
         if self.far:

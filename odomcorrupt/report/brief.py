@@ -101,7 +101,7 @@ def findings_brief(
     named = verdict != "COMPLETE" and bool(lines) and not unexplained
     if named:
         first = ": ".join(filter(None, (lines[0].label.replace(_PERHAPS, ""), lines[0].text)))
-        lines += [Line("set-up", mounted)] if mounted else []
+        lines += [Line("set-up", mounted, weight=FIRST)] if mounted else []
     else:
         apart = ", and ".join([*_clock_words(search), *([mounted] if mounted else [])])
         none = "no relevant effect is missing" if negligible else "no known effect explains more than chance"

@@ -74,7 +74,7 @@ def effects_found(learned: Learned, fit: Fit | None = None) -> list[FoundEffect]
             effect, errors = own[step.added]
             aliases = readings_of(effect, drive)
             rivals = tuple(name for name in step.alternatives if name not in aliases)
-            probability, negligible = confidence(support_of(step, learned)), learned.is_negligible(effect.name)
+            probability, negligible = confidence(support_of(step, learned, fit)), learned.is_negligible(effect.name)
             found.append(FoundEffect(effect, errors, step, aliases, rivals, probability, negligible))
     return found
 
@@ -116,7 +116,7 @@ def is_unexplained(learned: Learned, last: ModelEvaluation | None, *, falls: boo
     last : evaluation of the model with all findings, if there is one
     falls : whether the held-out error or likelihood improves with the findings
     """
-    if learned.lacking or learned.unexplained:
+    if learned.lacking or learned.unexplained or learned.hardly_errs:
         return False
     # errors smaller than the noise predicts need no further cause
     misfit = last.verdict.misfit if last is not None and last.verdict.fails else 1.0

@@ -124,10 +124,12 @@ def learn_robot(
     clocks = clocks_beside(judged_on, choose_approach(judged_on), list(models.values())[-1], plain)
     comparison = compare(judged_on, models, clocks=clocks)
     explained = contributions(search.fit, judged_on, comparison.clocks.clocks)
+    verdict = comparison.evaluations[-1].verdict
+    misfit = max(verdict.misfit, 1.0) if verdict.fails else 1.0
     return LearnedRobot(
         recordings=recordings,
         held_out=judged_on,
-        search=replace(search, contributions=explained, drifts_too_far=reproduction.too_large),
+        search=replace(search, contributions=explained, drifts_too_far=reproduction.too_large, misfit=misfit),
         advice=advice,
         base=base,
         robot=robot,

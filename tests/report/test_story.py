@@ -710,7 +710,7 @@ def test_an_effect_with_evidence_is_not_called_untestable():
     ("misfit", "noise", "expected"), [(0.5, (), False), (1.4, (), True), (1.4, (1,), False), (3.0, (1,), True)]
 )
 def test_only_errors_larger_than_predicted_lack_a_cause(misfit, noise, expected):
-    learned = SimpleNamespace(lacking=(), unexplained=(), noise=noise)
+    learned = SimpleNamespace(lacking=(), unexplained=(), noise=noise, hardly_errs=False)
     last = SimpleNamespace(verdict=SimpleNamespace(fails=True, misfit=misfit))
     assert is_unexplained(learned, last) == expected
     assert not is_unexplained(SimpleNamespace(lacking=(), unexplained=(1,), noise=noise), last)

@@ -116,11 +116,8 @@ def test_what_a_drive_never_did_is_reported(v, omega, there, not_there):
     said = [why for why, _ in missing_excitations([ideal_motion(steady(v, omega))])]
     assert set(there) <= set(said)
     assert not set(not_there) & set(said)
-
-
-def test_a_mixed_drive_lacks_nothing():
-    plan = plan_of(next(m for m in MANOEUVRES if m.name == "everything"), Limits(0.8, 0.8), 600.0)
-    assert missing_excitations([ideal_motion(plan)]) == []
+    everything = plan_of(next(m for m in MANOEUVRES if m.name == "everything"), Limits(0.8, 0.8), 600.0)
+    assert missing_excitations([ideal_motion(everything)]) == []
 
 
 def ideal_motion(route):
@@ -164,18 +161,12 @@ def most_useful_of(*first, beside=()):
     return plan.manoeuvre.name, plan.duration_s
 
 
-def test_a_drive_that_answers_both_questions_is_better_than_one_that_answers_one_a_hundred_times():
+def test_the_most_useful_drive_answers_most_questions_the_second_ones_on_the_way_and_is_longer_for_one_more():
     spun, bent = telling(spins=5000.0, turns_apart=40.0), telling(eights=500.0, turns_apart=40.0)
     assert most_useful_of(spun, bent) == ("turns_apart", 180.0)
-
-
-def test_what_comes_second_is_answered_on_the_way_but_not_instead():
     first, second = telling(spins=1000.0, turns_apart=100.0, star=3.0), telling(turns_apart=100.0, star=1000.0)
     assert most_useful_of(first) == ("spins", 180.0)
     assert most_useful_of(first, beside=[second]) == ("turns_apart", 180.0)
-
-
-def test_a_drive_is_made_longer_where_that_answers_one_more():
     short, weak = telling(squares=100.0), telling(squares=4.0)
     assert most_useful_of(short, weak) == ("squares", 600.0)
     assert most_useful_of(short, telling(squares=1.0)) == ("squares", 180.0)

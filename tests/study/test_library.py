@@ -29,6 +29,7 @@ from odomcorrupt.study.select.confidence import (
     odds_against,
     support_of,
 )
+from odomcorrupt.study.select.contribution import Span
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.dictionary import Dictionary, families
 from odomcorrupt.study.select.selection import learn
@@ -161,13 +162,13 @@ def test_a_far_marker_on_a_robot_that_bends_is_where_it_is_and_nothing_besides()
 
 
 PAGE = Path(__file__).parents[2] / "docs" / "json.md"
-SUPPORT = Support(own=9.0, against=0.02, rivals=1, left=3.0, correlated=7.0, held_out_errors=2.5)
+SUPPORT = Support(own=9.0, against=0.02, rivals=1, left=3.0, correlated=7.0, held_out_errors=2.5, unpredicted=0.3)
 
 
 def test_the_formula_of_the_page_is_what_is_computed():
     (formula,) = [line for line in PAGE.read_text(encoding="utf8").splitlines() if line.startswith("    max(q, exp(")]
     numbers = {"g": SUPPORT.own, "q": SUPPORT.against, "u": SUPPORT.left, "w": SUPPORT.correlated}
-    numbers |= {"s": SUPPORT.rivals, "p": 0.0062097}  # p of 2.5 standard errors
+    numbers |= {"s": SUPPORT.rivals, "r": SUPPORT.unpredicted, "p": 0.0062097}  # p of 2.5 standard errors
     named = {**numbers, "B": lambda p: -e * p * log(p), "exp": exp, "max": max, "__builtins__": {}}
     printed = eval(formula.strip(), named)  # noqa: S307 - our own formula
     assert odds_against(SUPPORT, DECISIONS.prior) == pytest.approx(printed)
@@ -179,6 +180,10 @@ def test_confidence_falls_with_rivals_with_what_is_left_and_with_little_evidence
     assert plain > 0.99
     assert confidence(Support(50.0, 0.6)) == pytest.approx(1.0 / 1.605)
     assert confidence(Support(50.0, rivals=1)) < 0.5
+    assert [confidence(Support(50.0, size_errors=n)) > 0.6 for n in (1.1, 4.2)] == [False, True]
+    spans = (Span(0.9, 0.05, 3.0), 3.0), (Span(0.05, 0.05, 3.0), 3.0), (Span(2.0, 2.0, 3.0), 1.0)
+    sure = [confidence(Support(50.0, unpredicted=span.unpredicted(misfit))) for span, misfit in spans]
+    assert sure == pytest.approx([0.99, 0.53, 0.69], abs=0.01)
     assert confidence(Support(50.0, left=100.0)) < 0.4
     assert plain > confidence(Support(50.0, correlated=50.0)) > confidence(Support(50.0, left=50.0))
     assert confidence(Support(1.0)) < 0.75

@@ -228,7 +228,7 @@ def test_drifts_beyond_the_recordings_and_varying_scales_of_travel_beside_such_a
 ):
     run = SimpleNamespace(own_scale=own_scale, yaw_dead_band_radps=0.0)
     fitted = SimpleNamespace(problem=SimpleNamespace(recordings=(run,)))
-    learned = SimpleNamespace(held_out={}, left_nats=0.0, steps=[], drifts_too_far=too_far, fit=fitted)
+    learned = SimpleNamespace(held_out={}, left_nats=0.0, steps=[], drifts_too_far=too_far, fit=fitted, misfit=1.0)
     process = DetectedRandomEffect(effect_from_values(name, values), 500.0)
     assert (confidence(noise_support(process, learned)) > 0.5) == likely
 

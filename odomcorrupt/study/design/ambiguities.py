@@ -188,8 +188,9 @@ CLOCKS = ("time_offset", "clock_skew")
 
 def undetermined_clocks(drives: Drives) -> list[UntestableEffect]:
     """Return the clock parameters that were not tested and that no recording would determine at their typical size."""
-    beside = _beside_clocks(drives)
-    found = []
+    own = drives.learned.fit.by_name
+    rivals = clock_rivals(drives.learned.fit.problem.recordings)
+    beside, found = [*own.values(), *(rival for rival in rivals if rival.name not in own)], []
     for number, name in enumerate(CLOCKS):
         kind = registry()[name]
         typical = amplitudes(kind)[0].typical
@@ -231,9 +232,3 @@ def clock_ambiguities(drives: Drives, step: Step | None = None) -> list[Ambiguit
         if known < learned.decisions.alternative_nats:
             found.append(_ambiguity(drives, (own.name, CLOCKS[0]), gain))
     return found
-
-
-def _beside_clocks(drives: Drives) -> Sequence[Effect]:
-    """Return the terms that are free beside a clock: included ones, and those that resemble a clock."""
-    own, rivals = drives.learned.fit.effects, clock_rivals(drives.learned.fit.problem.recordings)
-    return [*own, *(rival for rival in rivals if rival.name not in {e.name for e in own})]

@@ -126,8 +126,10 @@ def most_useful(drives: Drives, first: Sequence[Gain], beside: Sequence[Gain] = 
         return best_plan(drives, (*first, *beside)[0])[0]
 
     def answered_nats(drive: Field) -> float:
-        shares = [float(np.mean([_share(gain(drive)) for gain in gains])) for gains in (first, beside) if gains]
-        return float(np.dot(shares, (1.0, _SECONDARY_WEIGHT)[: len(shares)]))
+        nats = [np.maximum([gain(drive) for gain in gains], 0.0) for gains in (first, beside) if gains]
+        return float(
+            sum(np.mean(n / (n + ENOUGH_NATS)) * w for n, w in zip(nats, (1.0, _SECONDARY_WEIGHT), strict=False))
+        )
 
     def answered(drive: Field) -> int:
         return sum(gain(drive) >= ENOUGH_NATS for gain in first or beside)
@@ -137,11 +139,6 @@ def most_useful(drives: Drives, first: Sequence[Gain], beside: Sequence[Gain] = 
         return plan
     gains = [(answered(field_), longer) for longer, field_ in _longer(drives, plan)]
     return max([(answered(drive), plan), *gains], key=itemgetter(0))[1]
-
-
-def _share(nats: float) -> float:
-    """Return the fraction (0 to 1) of a question answered by an amount of information, nats."""
-    return max(nats, 0.0) / (max(nats, 0.0) + ENOUGH_NATS)
 
 
 def _most_valuable(drives: Drives, value: Gain) -> tuple[Plan, Field]:
@@ -158,9 +155,11 @@ def _longer(drives: Drives, plan: Plan) -> list[tuple[Plan, Field]]:
 
 def missing_motion(drives: Drives, gain: Gain, best_nats: float) -> str:
     """Return the missing excitations that would have been informative, most informative first; "" if none."""
-    found = []
-    for why, names in missing_excitations(drives.learned.fit.problem.motions):
-        gains = max(gain(drives.planned(name, _SHORT_S)[1]) for name in names)
-        if gains >= _SUFFICIENT_SHARE * best_nats:
-            found.append((gains, why))
-    return ", ".join(why for _, why in sorted(found, key=lambda pair: pair[0], reverse=True)[:2])
+    found = [
+        (max(gain(drives.planned(name, _SHORT_S)[1]) for name in names), why)
+        for why, names in missing_excitations(drives.learned.fit.problem.motions)
+    ]
+    informative = sorted(
+        (one for one in found if one[0] >= _SUFFICIENT_SHARE * best_nats), key=itemgetter(0), reverse=True
+    )
+    return ", ".join(why for _, why in informative[:2])

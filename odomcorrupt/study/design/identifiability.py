@@ -117,13 +117,12 @@ def hidden(drives: Drives, kind: type[Effect], shows: Gain, short_of: str, masks
 
 def _masks(drives: Drives, effect: Effect, beside: Sequence[Effect]) -> list[str]:
     """Return the included terms that mask an effect: without them its standard error would be far smaller."""
-    now = float(np.max(sizes(effect, beside, [drives.recorded])))
-    found = []
-    for e in beside:
-        others = [o for o in beside if o is not e]
-        if float(np.max(sizes(effect, others, [drives.recorded]))) * MASKED < now:
-            found.append(e.name)
-    return found
+
+    def error(others: Sequence[Effect]) -> float:
+        return float(np.max(sizes(effect, others, [drives.recorded])))
+
+    now = error(beside)
+    return [e.name for e in beside if MASKED * error([o for o in beside if o is not e]) < now]
 
 
 def _short_of(candidate: Candidate) -> str:
@@ -160,20 +159,17 @@ def untried(learned: Learned) -> list[UntestableEffect]:
             or (drive.steered and kind.needs_track)
         ):
             continue
-        hint = kind.about.drive if kind.about else ""
-        if kind.needs_track and not (track or brings_track(kind)):
-            found.append(UntestableEffect(name, _NO_TRACK, None, hint))
-        else:
-            found.append(UntestableEffect(name, "this drive has no motion on which to test it", None, hint))
+        single = kind.needs_track and not (track or brings_track(kind))
+        why = _NO_TRACK if single else "this drive has no motion on which to test it"
+        found.append(UntestableEffect(name, why, None, kind.about.drive if kind.about else ""))
     return found
 
 
 def limits(step: Step) -> list[DetectionLimit]:
     """Return the detection limits of all testable effects."""
-    found = []
-    for candidate in step.candidates:
-        score = candidate.score
-        if not is_untestable(candidate):
-            sizes_of = zip(amplitudes(score.effect), score.standard_error, strict=True)
-            found += [DetectionLimit(score.effect.name, p.name, FOUND * float(error), p.unit) for p, error in sizes_of]
-    return found
+    return [
+        DetectionLimit(c.name, p.name, FOUND * float(error), p.unit)
+        for c in step.candidates
+        if not is_untestable(c)
+        for p, error in zip(amplitudes(c.score.effect), c.score.standard_error, strict=True)
+    ]

@@ -51,8 +51,7 @@ class Plan:
     @property
     def path(self) -> Array:
         """Poses (n + 1, 3) of a robot that follows the commands exactly from the origin, m and rad."""
-        steps = Increments(self.v_mps * STEP_S, np.zeros_like(self.v_mps), self.omega_radps * STEP_S)
-        return accumulate(np.zeros(3), steps)
+        return _followed(self.v_mps, self.omega_radps)
 
     @property
     def floor_m(self) -> tuple[float, float]:
@@ -64,6 +63,11 @@ class Plan:
     def fastest_mps(self) -> float:
         """Largest speed, m/s."""
         return float(np.abs(self.v_mps).max())
+
+
+def _followed(v_mps: Array, omega_radps: Array, start: Array | None = None) -> Array:
+    steps = Increments(v_mps * STEP_S, np.zeros_like(v_mps), omega_radps * STEP_S)
+    return accumulate(np.zeros(3) if start is None else start, steps)
 
 
 def safe_limits(motions: Sequence[Motion]) -> Limits:
@@ -101,8 +105,7 @@ def _ramp(now: Array, hold: Hold) -> Array:
 
 def _homewards(speeds: Array, limits: Limits) -> list[Hold]:
     """Return the moves at rest from the end of commands (n, 2) back to their start, with the initial heading."""
-    steps = Increments(speeds[:, 0] * STEP_S, np.zeros(len(speeds)), speeds[:, 1] * STEP_S)
-    x, y, theta = accumulate(np.zeros(3), steps)[-1]
+    x, y, theta = _followed(*speeds.T)[-1]
     away = float(np.hypot(x, y))
     if away < _NEAR_M:
         return []
@@ -120,9 +123,7 @@ def ideal_recording(plan: Plan, like: Recording) -> Recording:
     """Return the recording of an ideal robot and an ideal tracker, starting at the first pose of `like`."""
     stamps_ns = like.origin_ns + (np.arange(len(plan.v_mps) + 1) * round(STEP_S * 1e9)).astype(np.int64)
     odometry = Trajectory(stamps_ns, plan.path)
-    start = np.nan_to_num(like.truth.xyt[0])
-    steps = Increments(plan.v_mps * STEP_S, np.zeros_like(plan.v_mps), plan.omega_radps * STEP_S)
-    truth = Trajectory(stamps_ns, accumulate(start, steps))
+    truth = Trajectory(stamps_ns, _followed(plan.v_mps, plan.omega_radps, np.nan_to_num(like.truth.xyt[0])))
     return Recording(plan.manoeuvre.name, odometry, truth, like.origin_ns, like.track_m)
 
 

@@ -298,7 +298,11 @@ def find_setup(
         )
 
     best = fitted(*free, *beside, *effects)
-    there = [e for e in best.effects[: len(free)] if chi2.sf(best.wald[e.name], len(amplitudes(e))) < _MOUNTED]
+    there = [
+        e
+        for e in best.effects[: len(free)]
+        if len(amplitudes(e)) * chi2.sf(best.size_errors[e.name] ** 2, 1) < _MOUNTED
+    ]
     if not there:
         return ()
     alone = fitted(*there, *effects)

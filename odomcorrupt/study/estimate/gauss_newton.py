@@ -136,18 +136,13 @@ class Fit:
         return dataclasses.replace(self, noise=noise, random=tuple(random))
 
     @property
-    def wald(self) -> dict[str, float]:
-        """Wald statistic of each effect; chi-square under the null, with one degree of freedom per amplitude."""
-        statistics = {}
-        position = 0
-        for effect in self.effects:
-            own = amplitudes(effect)
-            rows = slice(position, position + len(own))
-            position += len(own)
-            away = np.array([getattr(effect, p.name) - p.identity for p in own])
-            covariance = self.noise.theta_covariance[rows, rows]
-            statistics[effect.name] = float(away @ np.linalg.pinv(covariance, hermitian=True) @ away)
-        return statistics
+    def size_errors(self) -> dict[str, float]:
+        """Size of each effect in standard errors, of its amplitude that is farthest from the identity."""
+        errors = iter(np.maximum(self.standard_errors, 1e-30).tolist())
+        return {
+            e.name: max(abs(getattr(e, p.name) - p.identity) / next(errors) for p in amplitudes(e))
+            for e in self.effects
+        }
 
 
 def fit(

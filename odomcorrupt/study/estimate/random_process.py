@@ -190,7 +190,9 @@ def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whit
     """Return a whitener whose covariance also includes random coefficients and the truth's bias."""
     parts = [knots_of(effect, problem) for effect in random]
     if has_bias(problem):
-        parts.append(_of_columns(bias_roots(problem)))
+        roots = bias_roots(problem)  # independent standard normal factors of columns, as knots after all others
+        flat = roots.reshape(-1, roots.shape[2])
+        parts.append(Knots(csr_array(flat), csr_array(np.eye(flat.shape[1])), np.full(flat.shape[1], np.inf)))
     if not parts:
         return white
     knots = joined(parts)
@@ -207,12 +209,6 @@ def joined(parts: Sequence[Knots]) -> Knots:
     spread = csr_array(hstack([part.spread for part in parts], format="csc")[:, order])
     precision = csr_array(block_diag([part.precision for part in parts], format="csr")[order][:, order])
     return Knots(spread, precision, time_s[order])
-
-
-def _of_columns(columns: Array) -> Knots:
-    """Return independent standard normal factors of columns (K, 3, m) as knots after all others."""
-    flat = columns.reshape(-1, columns.shape[2])
-    return Knots(csr_array(flat), csr_array(np.eye(flat.shape[1])), np.full(flat.shape[1], np.inf))
 
 
 def knots_of(effect: Effect, problem: Problem) -> Knots:

@@ -19,7 +19,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import Increments, accumulate, between, increments, wrap
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.study.io.plausibility import check_pair, cross_correlation
-from odomcorrupt.study.io.raw_trajectory import CLOCK_S, FEWEST
+from odomcorrupt.study.io.raw_trajectory import CLOCK_S, FEWEST, runs_of
 from odomcorrupt.study.io.recording import Mistake
 
 if TYPE_CHECKING:
@@ -112,6 +112,14 @@ class _Travel(NamedTuple):
         edges = (starts_s, starts_s + window_s)
         begin, end = (np.stack([np.interp(t, self.t_s, s) for s in self.sums.T], axis=1) for t in edges)
         return np.asarray(end - begin)
+
+    def along_chords(self, t_s: Array) -> _Travel:
+        """Return the same motion with headings as those of central chords at even times (n,), means over two steps."""
+        whole = np.concatenate(([0.0], np.cumsum((self.sums[1:, 2] + self.sums[:-1, 2]) / 2.0 * np.diff(self.t_s))))
+        ends = [np.interp(t_s + k * (t_s[1] - t_s[0]), self.t_s, whole) for k in (1.0, -1.0)]
+        # beyond its ends the path has no mean; `motions` compares no window there
+        sums = np.stack([np.interp(t_s, self.t_s, x) for x in self.sums.T], axis=1)
+        return _Travel(t_s, np.column_stack((sums[:, :2], (ends[0] - ends[1]) / (2.0 * (t_s[1] - t_s[0])))))
 
 
 def travel_of(path: Samples, origin_ns: int) -> _Travel:
@@ -240,6 +248,8 @@ class Look:
         """Motions (n, 3) of odometry and truth in windows, and their times in each, at the lag that fits best."""
         origin, window_s = int(self.paths[0].stamps_ns[0]), self.window_s
         one, other = (travel_of(p, origin) for p in self.paths)
+        if not self.paths[1].headed:
+            one = one.along_chords(other.t_s)
         first, last = max(one.t_s[0], other.t_s[0]), min(one.t_s[-1], other.t_s[-1]) - window_s
         margin_s = min(CLOCK_S, (last - first) / 4.0)
         starts = np.arange(first + margin_s, last - margin_s, window_s / 4.0)
@@ -414,6 +424,10 @@ def first_look(look: Look) -> FirstLook:
     """
     found: list[Mistake] = []
     gains = (1.0, 1.0)
+    odometry, truth = look.paths
+    if truth.headed and _turned(truth) < 1e-6 and _turned(odometry) > 0.5:
+        truth = truth.without_headings().noted("its headings never change: its positions alone are used")
+        look = replace(look, paths=(odometry, truth))
     for pattern in PATTERNS:
         if pattern.name == "overflow":  # clocks are right from here on
             check_pair(*look.paths)
@@ -482,8 +496,7 @@ def _mirrored_headings(look: Look, i: int) -> Figures | None:
     if own.chords < _FEWEST or not alone or _turn_between(look.paths[i]) > _LOST:
         return None
     axis = 1.0 if look.correlations[2, 2] < 0.0 else -1.0
-    undo = lambda path: replace(path, xyz=path.xyz * [1.0, axis, 1.0], yaw_rad=-axis * path.yaw_rad)  # noqa: E731
-    return {"i": i, "undo": undo}
+    return {"i": i, "undo": lambda p: replace(p, xyz=p.xyz * [1.0, axis, 1.0], yaw_rad=-axis * p.yaw_rad)}
 
 
 def _unit_of_headings(look: Look, i: int) -> Figures | None:
@@ -522,23 +535,32 @@ def _euler(look: Look, i: int) -> Figures | None:
     """Find odometry that goes along its heading at the beginning (0) or the end (1) of each step, not halfway (1/2)."""
     step = between(*(look.paths[0].trajectory().xyt[part] for part in (slice(-1), slice(1, None))))
     turn, ahead = wrap(step[:, 2]), np.sign(step[:, 0])
-    bends = (np.abs(turn) > _BENT_RAD) & (np.hypot(step[:, 0], step[:, 1]) > 1e-6) & (np.abs(turn) < np.pi / 2.0)
+    bends = (np.abs(turn) > _BENT_RAD) & (np.abs(turn) < np.pi / 2.0)
     part = (np.arctan2(ahead * step[:, 1], ahead * step[:, 0]) / np.where(bends, turn, np.inf))[bends]
-    if i or bends.sum() < 3 * _FEWEST or np.abs(part - (k := round(float(np.median(part))))).mean() > 0.02:
+    travel = np.hypot(step[:, 0], step[:, 1])  # by which directions count, as turns on the spot have hardly any
+    if i or bends.sum() < 3 * _FEWEST or not travel[bends].any():
         return None
-    rows = np.column_stack((ahead * np.hypot(step[:, 0], step[:, 1]), 0.0 * turn, turn))
+    k = round(float(np.median(part)))
+    if np.average(np.abs(part - k), weights=travel[bends]) > 0.02:
+        return None
+    rows = np.column_stack((ahead * travel, 0.0 * turn, turn))
     most = float(np.degrees(np.percentile(np.abs(turn[bends]), 95.0)))
     return {"at": ("beginning", "end")[k], "most": most, "undo": lambda path: _moved_by(path, rows)}
+
+
+def _turned(path: Samples) -> float:
+    return float(np.ptp(np.unwrap(path.yaw_rad)))
 
 
 def _unrelated(look: Look, i: int) -> Figures | None:
     """Find headings that follow neither their own path nor the other trajectory."""
     (own, other), (path, beside) = (look.own, look.paths) if i == 0 else (look.own[::-1], look.paths[::-1])
     undo = {"undo": lambda path: path.without_headings()} if i else {}
-    turns = np.ptp(np.unwrap(beside.yaw_rad)) > 0.5 if beside.headed else own.agreement[0] < _CLEAR
-    if path.headed and np.ptp(path.yaw_rad) < 1e-6 and turns:
-        return {"i": i, "what": "never change", **undo}
-    few = min(own.chords, other.chords) < 3 * _FEWEST
+    turns = _turned(beside) > 0.5 if beside.headed else own.agreement[0] < _CLEAR
+    if not i and _turned(path) < 1e-6 and turns:
+        return {"i": i, "what": "never change"}
+    # headings that are right beside wheels that are exchanged make one linear function of the two motions
+    few = min(own.chords, other.chords) < 3 * _FEWEST or _linear(*look.motions[1::-1])[1] > _FOLLOWS
     if few or max(own.agreement) > _CLEAR or other.agreement[0] < _FOLLOWS or abs(look.correlations[2, 2]) > _UNCLEAR:
         return None
     return {"i": i, "what": "are 0 or 180 deg alone" if own.fixed > _FOLLOWS else "turn otherwise", **undo}
@@ -568,15 +590,19 @@ def _stamp_unit(look: Look) -> Figures | None:
 
 def _rate(look: Look) -> Figures | None:
     """Find a clock of another rate or unit: motions correlate after stretching it, by log times or to equal spans."""
-    # without log times both are taken to last as long, and the less usual period of messages is at fault
-    logged = all(len(path.log_ns) and np.ptp(path.log_ns) > 0 for path in look.paths)
-    spans = [path.span_s / (float(np.ptp(path.log_ns)) * 1e-9 if logged else 1.0) for path in look.paths]
-    usual = spans if logged else [float(np.median(np.diff(path.stamps_ns))) / 5e7 for path in look.paths]
+    # log times that go as the stamps show nothing: both are then taken to last as long, and the less usual period of
+    # messages is at fault
+    spans = [path.span_s / (float(np.ptp(path.log_ns)) * 1e-9 if len(path.log_ns) else 1.0) for path in look.paths]
+    if logged := all(len(p.log_ns) for p in look.paths) and max(spans) > (1.0 + _ALIKE) * min(spans):
+        usual = spans
+    else:
+        spans = [path.span_s for path in look.paths]
+        usual = [float(np.median(np.diff(path.stamps_ns))) / 5e7 for path in look.paths]
     i = int(abs(np.log(usual[1])) > abs(np.log(usual[0])))
     factor = spans[1 - i] / spans[i]
     if not logged and 0.2 < factor < 5.0:
         i, factor = 0, spans[1] / spans[0]
-    if 1.0 / _WRONG < factor < _WRONG:
+    if abs(np.log(factor)) < _ALIKE / 2.0:
         return None
 
     def undo(path: Samples) -> Samples:
@@ -592,7 +618,7 @@ def _rate(look: Look) -> Figures | None:
     one, other = look.paths
     mended = alike(*((one, undo(other)) if i else (undo(one), other)), from_start=True)
     # farther apart, there is no motion at any shift to compare with
-    near = alike(one, other, from_start=False) if 0.05 < factor < 20.0 else 0.0
+    near = alike(one, other, from_start=False) if 0.05 < factor < 20.0 and one.shared_s(other) > 0.0 else 0.0
     if mended < max(0.7, near + 0.2):
         return None
     doubt = "" if logged else ", or the other one by the inverse"
@@ -665,6 +691,10 @@ def _wheel_gains(look: Look) -> Figures | None:
     arm_m = np.array((*axes[1:], np.sqrt(by_turn / by_travel))) ** (np.array(axes) == 2)
     scaled = matrix / arm_m * arm_m[:, None]
     mean = np.diag(np.diag(scaled))
+    if look.sideways and np.abs(scaled @ scaled - np.eye(3)).max() < 0.2 < np.abs(scaled - mean).max():
+        back = np.asarray(np.linalg.inv(matrix))
+        return {"each": "exchanged", "explained": f"{explained:.1%}", "cause": "two wheels are exchanged",
+                "change": "exchange them", "undo": _by(back), "then": _UNDONE}  # fmt: skip
     gains = np.trace(mean) / len(axes) + np.einsum("ij,jk,ik->i", rolls, scaled - mean, rolls) / 2.0
     most = float(np.abs(gains).max())
     off = np.abs(rolls.T @ (gains[:, None] * rolls) / len(rolls) - scaled).max()
@@ -682,7 +712,7 @@ def _wheel_gains(look: Look) -> Figures | None:
     elif dead.any():
         cause, change = f"the {which} counts nothing: its encoder, cable or topic", _RECORD
     figures: Figures = {
-        "each": ", ".join(f"{name} {gain:.2f}" for name, gain in zip(names, gains.tolist(), strict=True)),
+        "each": f"that count {', '.join(f'{n} {g:.2f}' for n, g in zip(names, gains, strict=True))} times their way",
         "explained": f"{explained:.1%}", "cause": cause, "change": change, "then": "",
     }  # fmt: skip
     if len(rolls) == 4 or not dead.any():
@@ -691,7 +721,7 @@ def _wheel_gains(look: Look) -> Figures | None:
         back = np.eye(3)
         back[np.ix_(axes, axes)] = np.linalg.pinv(rolls.T @ (mended[:, None] * rolls) / len(rolls))
         back[np.ix_(axes, axes)] *= arm_m / arm_m[:, None]
-        figures |= {"undo": _by(back), "then": "this is undone in the odometry, and not in the model"}
+        figures |= {"undo": _by(back), "then": _UNDONE}
     return figures
 
 
@@ -719,6 +749,13 @@ def _aside(look: Look) -> Figures | None:
     c, side = look.correlations, look.ratio(1)
     drives = all(np.std(x[:, 1]) > _MOVING * np.std(x[:, 0]) for x in look.windows[:2])
     clear = min(abs(c[1, 1]), c[0, 0], c[2, 2]) > _CLEAR and side.number >= _FEWEST and side.spread < 0.5
+    if look.paths[1].headed and min(c[0, 0], c[2, 2]) > _CLEAR and not drives:
+        here, there, _ = look.windows
+        rest = np.abs(there[:, 1:2] - here[:, ::2] @ _linear(here[:, ::2], there[:, 1:2])[0].T)[:, 0]
+        usual = np.percentile(np.abs(there[:, 0]), 80.0)
+        # where headings of the truth are turned for a while, it moves sideways only as the odometry drives
+        apart = (rest > _MOVING * usual) & (np.abs(here[:, 0]) < rest / 2.0)
+        return {"how": "never, unlike"} if apart.mean() > 0.05 and np.std(here[:, 1]) < 0.1 * usual else None
     size = abs(side.value) / look.scales[0].value
     wrong = not 1.0 / _SKIDS < size < _WRONG
     if not drives or not clear or not look.paths[1].headed or not (wrong or c[1, 1] < 0.0):
@@ -739,8 +776,8 @@ def _exchanged(look: Look) -> Figures | None:
     words = "whether the odometry or the truth is wrong, these data do not show"
     if fault is not None:
         words = f"{source} turns as {look.paths[1 - fault].name} does, so {look.paths[fault].name} is wrong"
-    undo = lambda path: replace(path, xyz=path.xyz * [1.0, -1.0, 1.0], yaw_rad=-path.yaw_rad)  # noqa: E731
-    return {"i": fault or 0, "corr": corr, "fault": words, "undo": undo}
+    mirrored = lambda p: replace(p, xyz=p.xyz * [1.0, -1.0, 1.0], yaw_rad=-p.yaw_rad)  # noqa: E731
+    return {"i": fault or 0, "corr": corr, "fault": words, "undo": mirrored}
 
 
 def _overflows(look: Look, i: int) -> Figures | None:
@@ -798,20 +835,20 @@ def _one_way(look: Look, axis: int) -> Figures | None:
     straight = np.abs(there[:, 0]) > 0.5 * np.abs(there[:, 2]) if axis == 0 else np.ones(len(here), dtype=bool)
     if axis == 0 and not look.paths[1].headed and np.percentile(here[:, 0], 1.0) >= 0.0:
         # positions alone show reverse as a course that flips between chords, where the odometry's goes on
-        courses = [_course(path, at, look) for path, at in zip(look.paths, look.windows[2], strict=True)]
-        seen = np.isfinite(courses).all(axis=0)
-        own, real = (np.abs(course[seen]) for course in courses)
+        courses, seen, origin = [], np.ones(len(here), dtype=bool), int(look.paths[0].stamps_ns[0])
+        for path, at_s in zip(look.paths, look.windows[2], strict=True):
+            around_s = at_s + look.window_s * np.arange(-1.0, 2.0)[:, None]
+            chords = np.diff(
+                np.interp(around_s, path.seconds_since(origin), path.xyz[:, 0] + 1j * path.xyz[:, 1]), axis=0
+            )
+            courses.append(np.abs(np.angle(chords[1] * np.conj(chords[0]))))
+            seen &= moving(np.abs(chords).min(axis=0))
+        own, real = (course[seen] for course in courses)
         back = (real > 2.6) & (own < 0.5)
         events = int(np.sum(np.diff(np.flatnonzero(back)) > 4)) + 1
         if events > 3 and np.sum((own > 2.6) & (real > 2.6)) < 0.2 * back.sum():
             return {"share": f"{events} places", "how": "goes on there"}
-    if axis == 0 and look.paths[1].headed and look.scales[1].sure:
-        usual = np.percentile(np.abs(there), 95.0, axis=0)
-        spot = (np.abs(there[:, 0]) < 0.2 * usual[0]) & (np.abs(there[:, 2]) > 0.5 * usual[2])
-        ahead = spot & (np.abs(here[:, 2]) < 0.3 * np.abs(there[:, 2])) & moving(here[:, 0])
-        if ahead.sum() >= _FEWEST / 2.0 and ahead.sum() > 0.5 * spot.sum():
-            return {"share": f"{spot.mean():.0%}", "how": "drives straight ahead where that turns on the spot"}
-    for side in (-1, 1) if look.paths[1].headed else ():
+    for side in (-1, 1) if look.paths[1].headed or axis == 2 else ():
         real, counted = moving(there[:, axis], side) & straight, moving(here[:, axis], side)
         if not real.any() or real.sum() < max(0.01 * len(real), 10.0 * counted.sum()):
             continue
@@ -825,13 +862,25 @@ def _one_way(look: Look, axis: int) -> Figures | None:
     return None
 
 
-def _course(path: Samples, at_s: Array, look: Look) -> Array:
-    """Return by how much a path's course changes between the window before times (n,) and the one after, rad."""
-    t_s = path.seconds_since(int(look.paths[0].stamps_ns[0]))
-    z = [np.interp(at_s + k * look.window_s, t_s, path.xyz[:, 0] + 1j * path.xyz[:, 1]) for k in (-1, 0, 1)]
-    before, after = z[1] - z[0], z[2] - z[1]
-    far = np.minimum(np.abs(before), np.abs(after))
-    return np.where(moving(far), np.angle(after * np.conj(before)), np.nan)
+def _repeated(look: Look) -> Figures | None:
+    """Find odometry that repeats a pose while the truth moves, and then jumps to where its path goes on."""
+    path, truth = look.paths
+    origin = int(path.stamps_ns[0])
+    t_s, step = path.t_s, np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
+    speed = step / np.diff(t_s)
+    runs = np.array(runs_of(step == 0.0), dtype=np.int64).reshape(-1, 2)
+    first, last = runs[(np.diff(runs)[:, 0] > 2) & (runs[:, 1] < len(step))].T
+    jumps = speed[last] > 3.0 * np.percentile(speed, 95.0)
+    first, last = first[jumps], last[jumps]
+    real = [np.interp(t_s[[first, last + 1]], truth.seconds_since(origin), x) for x in truth.xyz[:, :2].T]
+    far = np.hypot(*np.diff(real, axis=1)[:, 0])
+    if not len(far) or np.median(far / step[last]) < 0.5:
+        return None
+    kept = np.ones(len(path), dtype=bool)
+    for a, b in zip(first, last, strict=True):
+        kept[a + 1 : b + 1] = False
+    longest = f"{(t_s[last] - t_s[first]).max():.1f}"
+    return {"count": len(first), "longest": longest, "undo": lambda path: path.only(kept)}
 
 
 def _stands(look: Look) -> Figures | None:
@@ -839,21 +888,17 @@ def _stands(look: Look) -> Figures | None:
     here, there, (starts, _) = look.motions
     speed = np.hypot(there[:, 0], there[:, 1])
     moves = speed > 0.5 * np.percentile(speed, 95.0)
-    lost = moves & (np.abs(here) <= 1e-3 * np.percentile(np.abs(here), 95.0, axis=0)).all(axis=1)
+    still = (np.abs(here) <= 1e-3 * np.percentile(np.abs(here), 95.0, axis=0)).all(axis=1)
+    lost, longest = moves & still, [a for a, b in runs_of(np.asarray(still)) if moves[a:b].sum() * look.window_s > 40.0]
     lost_s = float(lost.sum()) * look.window_s / 4.0
-    if lost_s < 10.0 or lost.sum() < 0.2 * moves.sum():
+    if lost_s < 10.0 or (lost.sum() < 0.2 * moves.sum() and not longest):
         return None
-    begins = starts[lost]
-
-    def undo(path: Samples) -> Samples:
-        after = np.searchsorted(begins, path.t_s) - 1
-        return path.only((after < 0) | (path.t_s - begins[np.maximum(after, 0)] > look.window_s))
-
+    middle_s = starts + look.window_s / 2.0
+    undo = lambda path: path.only(np.interp(path.t_s, middle_s, lost, 0.0, 0.0) < 0.5)  # noqa: E731
     return {"lost": f"{lost_s:.0f}", "share": f"{lost.sum() / moves.sum():.0%}", "undo": undo}
 
 
-def _turn_between(path: Samples) -> float:
-    """Return the usual largest turn from one message to the next, rad."""
+def _turn_between(path: Samples) -> float:  # usually the largest from one message to the next, rad
     return float(np.percentile(np.abs(wrap(np.diff(path.yaw_rad))), 95.0))
 
 
@@ -918,6 +963,7 @@ def _hint(factor: float, causes: dict[float, str]) -> str:
 
 
 _RECORD = "mend it and record again"
+_UNDONE = "this is undone in the odometry, and not in the model"
 _KEPT = "the model has the factor, and is of this odometry as it is"
 
 # fmt: off
@@ -928,6 +974,10 @@ PATTERNS = (
             "{who}: its clock advances {rate} s in a second of {other}'s{doubt} (stretched, motions correlate by "
             "{best})", "stamps in another unit, or counted at another rate; a simulation slower than its clock",
             "give stamps of one clock in seconds", "its stamps are multiplied by {factor}", _rate),
+    Pattern("repeated poses",
+            "{who} repeats its last pose for up to {longest} s while {other} moves, and then jumps ({count} times)",
+            "a driver that is late or stalls, and publishes its last pose again", "publish each pose once",
+            "the repeated poses are left out", _repeated),
     Pattern("overflow", "{who}: {count} jumps of the same size, {wheel_m} m of one wheel",
             "a counter overflows: {width}", "subtract counts as signed integers of the counter's width",
             "the jumps are taken out", _overflows, alone=True),
@@ -937,10 +987,10 @@ PATTERNS = (
                              "undo": lambda p: replace(p, xyz=p.xyz / UNITS["millimetres"])}
             if min(look.own[i].speed_mps, look.own[1].speed_mps) > _FAST_MPS else None, alone=True),
     Pattern("quaternion without w",
-            "{who}: its orientations are no unit quaternions (w is 0 in all): its headings never change",
+            "{who}: its orientations are no unit quaternions (w is 0 or 1 in all): its headings are wrong",
             "w was never set beside z = sin(yaw / 2)",
             "set w = cos(yaw / 2), or make poses of its twists with `odomcorrupt integrate`", "",
-            lambda look, i: {"i": i} if look.paths[i].no_w and look.own[i].fixed > _FOLLOWS else None, alone=True),
+            lambda look, i: {"i": i} if look.paths[i].no_w else None, alone=True),
     Pattern("unit of headings", "{who}: its headings, not its path, are of another unit: {unit}",
             "degrees given to a function of radians, or the other way round; a column with the wrong name",
             "name the column yaw_deg or yaw_rad, as it is; for a bag, convert before making quaternions",
@@ -972,9 +1022,9 @@ PATTERNS = (
             "these stretches are left out", _stands),
     Pattern("turns too far",
             "{who} turns by {most} deg and more between messages, {other} by {usual}: beyond 180 deg turns are lost",
-            "wheel radius or separation in other units (centimetres, millimetres); degrees for radians",
+            "degrees for radians; wheel separation or radius in other units (centimetres, millimetres)",
             "give lengths in metres and angles in radians; " + _RECORD, "", _turns_too_far),
-    Pattern("wheel gains", "{who} moves as with wheels that count {each} times their way (this explains {explained})",
+    Pattern("wheel gains", "{who} moves as with wheels {each} (this explains {explained})",
             "{cause}", "{change}", "{then}", _wheel_gains),
     Pattern("forward is -x", "{who} drives backwards where the truth drives forwards (correlation {corr}); turns agree",
             "the base frame looks backwards; both wheels are negated and exchanged; the truth is mounted backwards",
@@ -1001,8 +1051,8 @@ PATTERNS = (
             "{who} travels as the truth does, but its turns do not follow the truth's (correlation {corr})",
             "degrees given to a tangent or sine; the angle of another joint or axis", _RECORD, "", _turns_otherwise),
     Pattern("sideways", "{who} moves sideways {how} {other}; forwards they agree",
-            "two wheels are exchanged; the sideways part of the kinematics has another sign or factor",
-            "mend the sideways part", "this is undone in the odometry, and not in the model", _aside),
+            "two wheels are exchanged; the sideways part of the kinematics has another sign or factor, or is left out",
+            "mend the sideways part", _UNDONE, _aside),
     Pattern("unit of the truth", "{who} travels {far} times as far as {other}, usually at {speed} m/s",
             "{unit} for metres", "give metres (columns x_mm, y_cm, z_ft name their unit)", "taken as {unit}",
             _truth_unit),

@@ -190,7 +190,10 @@ def alerts_of(run: LaserRun) -> list[str]:
             length, turn = float(np.hypot(lift.moved[0], lift.moved[1])), abs(float(np.degrees(lift.moved[2])))
             across = "" if lift.whole else " across the walls (along them is not seen)"
             what = f"the robot was moved by {turn:.0f} deg and {length:.2f} m{across}, which is not in the odometry"
-            what += f"; to corrupt with it: {_push(lift.moved, t_s)}" if lift.whole else ""
+            if lift.whole:
+                where = "along={:.3g},across={:.3g},yaw={:.3g}".format(*lift.moved.tolist())
+                when = f"time={t_s[0]:.4g},duration={t_s[1] - t_s[0]:.2g}"
+                what += f"; to corrupt with it: --effect push:{where},{when}"
             steps = np.diff(motion.robot(np.linspace(path.t_s[k], path.t_s[k + 1], 20)), axis=0)
             gone_m, turned_rad = np.hypot(steps[:, 0], steps[:, 1]).sum(), np.abs(wrap(steps[:, 2])).sum()
             # what an odometry with errors of 5 % may be off by
@@ -200,12 +203,6 @@ def alerts_of(run: LaserRun) -> list[str]:
     if len(breaks) > _BREAKS_SAID:
         said.append(f"scans do not connect at {len(breaks) - _BREAKS_SAID} more times")
     return said
-
-
-def _push(moved: Array, t_s: Array) -> str:
-    """Return the option that adds a displacement (3,) between two times (2,) to a simulation."""
-    x, y, yaw = moved.tolist()
-    return f"--effect push:along={x:.3g},across={y:.3g},yaw={yaw:.3g},time={t_s[0]:.4g},duration={t_s[1] - t_s[0]:.2g}"
 
 
 def _said(run: LaserRun) -> list[str]:

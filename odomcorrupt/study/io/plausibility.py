@@ -244,5 +244,6 @@ def check_together(here: Samples, there: Samples) -> None:
         raise RecordingError(
             f"{there.place}: does not move as {here.name} does (speeds correlate by {corr.speed.max():.2f}, yaw rates "
             f"by {corr.turn.max():.2f}, at the best shift of up to {reach_s:.0f} s): it is of another drive or of "
-            "another robot, or its clock is farther off; name the truth of this run"
+            "another robot, its clock is farther off, or one of them is computed wrongly (steering angles in "
+            "degrees); name the truth of this run"
         )

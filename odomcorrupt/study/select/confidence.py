@@ -4,13 +4,15 @@ Let q be the odds, by their evidence, of all sets of terms without the effect th
 with it, and g the gain of the effect in nats, at most that on held-out data. In the final model u is the gain that a
 dependence still offers, and w the gain of correlated noise. The odds against the effect are
 
-    max(q, exp(-g))  +  s  +  E  +  U u / g  +  max(B(p), C w / g)
+    max(q, exp(-g))  +  s  +  E  +  U (u / g + r)  +  max(B(p), C w / g)
 
 for other models and chance, s causes outside of the selection that explain as much, unlisted causes, and noise not as
-modelled. p is the probability that held-out blocks of the drive gain as much if the expected gain is zero, and
-B(p) = -e p ln p its least odds (Sellke, Bayarri & Berger 2001, American Statistician 55). A library effect explains an
-unlisted cause only in part; the rest appears as a dependence or as correlated noise. E, U and C are `elsewhere`,
-`unexplained` and `correlated` of `decisions.PriorOdds`.
+modelled. p is the probability that held-out blocks of the drive gain as much if the expected gain is zero, or that an
+effect of size zero is estimated as far from it, and B(p) = -e p ln p its least odds (Sellke, Bayarri & Berger 2001,
+American Statistician 55). A library effect explains an unlisted cause only in part; the rest appears as a dependence,
+as correlated noise, or as squared held-out errors over 10 s that a rejected model does not predict, r in units of those
+removed by the effect; or r is the ratio of all that are left to the travel, if that is larger. E, U and C are
+`elsewhere`, `unexplained` and `correlated` of `decisions.PriorOdds`.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, part_nam
 from odomcorrupt.study.select.decisions import DECISIONS
 
 if TYPE_CHECKING:
+    from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import PriorOdds
     from odomcorrupt.study.select.random_effects import DetectedRandomEffect
     from odomcorrupt.study.select.result import Learned, Step
@@ -47,6 +50,8 @@ class Support:
     left : gain of the most significant dependence that the final model leaves, nats
     correlated : gain of correlated noise in the final model, nats
     held_out_errors : gain on held-out data in standard errors; infinite if it was not tested
+    size_errors : size of the effect in standard errors; infinite if it has none
+    unpredicted : squared held-out error that the model does not predict, in units of that removed by the effect
     """
 
     own: float
@@ -55,6 +60,8 @@ class Support:
     left: float = 0.0
     correlated: float = 0.0
     held_out_errors: float = inf
+    size_errors: float = inf
+    unpredicted: float = 0.0
 
 
 def confidence(support: Support, prior: PriorOdds = DECISIONS.prior) -> float:
@@ -67,9 +74,10 @@ def odds_against(support: Support, prior: PriorOdds = DECISIONS.prior) -> float:
     if not support.own > 0.0:
         return inf
     other = max(support.against, exp(-support.own)) + support.rivals + prior.elsewhere
-    left = prior.unexplained * max(support.left, 0.0) / support.own
-    # both measure noise that is not as modelled, which counts once
-    noise = max(chance_odds(support.held_out_errors), prior.correlated * max(support.correlated, 0.0) / support.own)
+    left = prior.unexplained * (max(support.left, 0.0) / support.own + support.unpredicted)
+    # all measure noise that is not as modelled, which counts once
+    chance = chance_odds(min(support.held_out_errors, support.size_errors))
+    noise = max(chance, prior.correlated * max(support.correlated, 0.0) / support.own)
     return other + left + noise
 
 
@@ -89,8 +97,11 @@ def held_out_limit(name: str, nats: float, learned: Learned) -> float:
     return min(nats, max(most + HELD_OUT_ERRORS * error, 0.0))
 
 
-def support_of(step: Step, learned: Learned) -> Support:
-    """Return the support, given the final model, for the effect that a step included."""
+def support_of(step: Step, learned: Learned, fit: Fit | None = None) -> Support:
+    """Return the support, given the final model, for the effect that a step included.
+
+    fit : the reported fit, if it is not that of the search
+    """
     name, gain = step.added or "", step.candidates[0].gain
     pulled = any(recording.pulled_per_s > 0.0 for recording in learned.fit.problem.recordings)
     # causes that are no terms of the selection, and explain as much
@@ -106,6 +117,8 @@ def support_of(step: Step, learned: Learned) -> Support:
         learned.left_nats,
         max((one.nats for one in learned.noise if one.effect.name in CORRELATED_NOISE), default=0.0),
         held_out_errors(*learned.held_out.get(name, (inf, inf))),
+        (learned.fit if fit is None else fit).size_errors.get(name, inf),
+        learned.contributions[name].ten_seconds.unpredicted(learned.misfit) if name in learned.contributions else 0.0,
     )
 
 
@@ -128,7 +141,8 @@ def noise_support(one: DetectedRandomEffect, learned: Learned) -> Support:
     left = 0.0 if one.effect.layer == "record" else learned.left_nats
     own = held_out_limit(part_name(one.effect), one.nats, learned)
     misfit = one.effect.name in CORRELATED_NOISE and (learned.drifts_too_far or _loses_slow_turns(learned))
-    return Support(own, rivals=int(misfit or may_be_scale_of_truth(one, learned)), left=left)
+    rivals = int(misfit or may_be_scale_of_truth(one, learned))
+    return Support(own, rivals=rivals, left=left, unpredicted=learned.misfit**2 - 1.0)
 
 
 def may_be_scale_of_truth(gain: DetectedRandomEffect, learned: Learned) -> bool:

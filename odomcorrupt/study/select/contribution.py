@@ -58,6 +58,14 @@ class Span:
         """Relative growth of the error without the part, if the two are independent."""
         return hypot(1.0, self.moved_m / max(self.error_m, 1e-12)) - 1.0
 
+    def unpredicted(self, misfit: float) -> float:
+        """Return the squared error that a model neither predicts nor removes, in units of that of the part.
+
+        misfit : ratio of measured to predicted errors
+        """
+        beyond = self.error_m**2 * (1.0 - misfit**-2.0)
+        return max(beyond / max(self.moved_m, 1e-12) ** 2, (self.error_m / max(self.travelled_m, 1e-12)) ** 2)
+
     def negligible(self, share: float, per_m: float) -> bool:
         """Return whether the growth is below `share`, or the displacement below `per_m` metres per metre of path."""
         return self.share < share or self.moved_m < per_m * self.travelled_m

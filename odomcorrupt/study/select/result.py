@@ -80,6 +80,7 @@ class Learned:
     contributions : displacement of the odometry by each systematic part, if it was computed
     first_clocks : clocks estimated before all else; None if lost increments were restored before that
     drifts_too_far : whether the model drifts clearly more than the recordings, if it was tested
+    misfit : factor by which held-out errors exceed the predicted ones, if they reject the model; else 1
     """
 
     clocks: Clocks
@@ -99,6 +100,7 @@ class Learned:
     contributions: Mapping[str, Contribution] = field(default_factory=dict)
     first_clocks: Clocks | None = None
     drifts_too_far: bool = False
+    misfit: float = 1.0
 
     def is_negligible(self, name: str) -> bool:
         """Return whether the part of the model with this name is present but negligible in practice."""
@@ -128,8 +130,11 @@ class Learned:
 
     def hardly_moves(self, one: Dependence) -> bool:
         """Return whether a dependence is negligible: by its part in the model, else by the remaining error."""
-        if one in self.laws:
-            return self.is_negligible(one.name)
+        return self.is_negligible(one.name) if one in self.laws else self.hardly_errs
+
+    @property
+    def hardly_errs(self) -> bool:
+        """Whether the remaining error is negligible in practice."""
         motions = self.fit.problem.motions
         travelled_m = sum(float(np.sum(m.travel)) for m in motions)
         per_s = travelled_m / max(sum(float(np.sum(m.dt_s)) for m in motions), 1e-9)

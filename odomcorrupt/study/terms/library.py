@@ -45,7 +45,9 @@ def library_families(
         if name in MOUNTING and name not in mountings(recordings):
             continue
         if wanted and possible:
-            family = _with_known_heading(LibraryTerm.family(kind, motions), drive.heading_source)
+            family = LibraryTerm.family(kind, motions)
+            if (source := drive.heading_source) and "heading" in choices(family[0].start):
+                family = tuple(t for t in family if getattr(t.start, "heading", "") == source)
             if drive.steered:  # its odometry does not compare two wheels
                 family = tuple(t for t in family if not (getattr(t.start, "track", 0.0) or kind.needs_track))
             families.append(family)
@@ -60,10 +62,3 @@ def _is_tested(kind: type[Effect], drive: DriveType) -> bool:
     # antenna, which is likelier off the axle than the base frame is
     of_steered = drive.steered and kind.drives is not None and not drive.antenna
     return kind.aliased_with is None or of_steered or is_yaw_gain_of(kind, drive.heading_source)
-
-
-def _with_known_heading(family: tuple[LibraryTerm, ...], source: str) -> tuple[LibraryTerm, ...]:
-    """Return the shapes of an effect with the known source of the odometry's heading; all if it is unknown."""
-    if not source:
-        return family
-    return tuple(t for t in family if "heading" not in choices(t.start) or getattr(t.start, "heading", "") == source)

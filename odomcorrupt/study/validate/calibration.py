@@ -156,7 +156,10 @@ def horizon_of(distance_m: float, parts: Sequence[tuple[WindowErrors, ParameterU
         np.concatenate([errors.covariance[:, :count, :count] for errors, _ in parts]),
     )
     nees = float(both.nees.mean() / count)
-    means = np.sort(_chance_means(parts, count))
+    rng = np.random.default_rng(_SEED)
+    sums = [_squares(part, own, rng, len(part) * count, float(own.truth.mean())) for part, own in parts]
+    # under the model and its parameter uncertainty
+    means = np.sort(np.sum(sums, axis=0) / (sum(len(part) for part, _ in parts) * count))
     low, high = np.quantile(means, [0.025, 0.975])
     below = int(np.searchsorted(means, nees, side="right"))
     above = len(means) - int(np.searchsorted(means, nees, side="left"))
@@ -182,13 +185,6 @@ def horizon_of(distance_m: float, parts: Sequence[tuple[WindowErrors, ParameterU
         coverage_90=_three(both.coverage(0.9)),
         crps=_three(both.crps),
     )
-
-
-def _chance_means(parts: Sequence[tuple[WindowErrors, ParameterUncertainty]], count: int) -> Array:
-    """Return draws of the mean NEES per degree of freedom under the model and its parameter uncertainty."""
-    rng = np.random.default_rng(_SEED)
-    sums = [_squares(part, own, rng, len(part) * count, float(own.truth.mean())) for part, own in parts]
-    return np.asarray(np.sum(sums, axis=0) / (sum(len(part) for part, _ in parts) * count))
 
 
 def _squares(

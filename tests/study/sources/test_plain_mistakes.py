@@ -1,7 +1,7 @@
 """Plain mistakes of wiring, units, signs and axes, and truths of other drives, are named first, with their size."""
 
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -134,16 +134,16 @@ def test_wheels_that_count_by_unequal_factors(gains, words, headed):
     assert abs(np.corrcoef(back[:, 0], rows[:, 0])[0, 1]) > 0.99
 
 
-@pytest.mark.parametrize("wheel", range(4))
-def test_one_of_four_wheels_that_counts_the_wrong_way(wheel):
+@pytest.mark.parametrize("wheel", range(5))
+def test_one_of_four_wheels_that_counts_the_wrong_way_and_two_that_are_exchanged(wheel):
     rows = driven(4)
     rows[:, 1] = driven(5)[: len(rows), 0]
     rolls = np.array(((1, -1, -0.3), (1, 1, 0.3), (1, 1, -0.3), (1, -1, 0.3)), dtype=float)
-    counts = rows @ rolls.T * np.where(np.arange(4) == wheel, -1.0, 1.0)
+    counts = (rows @ rolls.T)[:, [1, 0, 2, 3] if wheel == 4 else range(4)] * np.where(np.arange(4) == wheel, -1.0, 1.0)
     found = first_look(Look((trajectory(counts @ np.linalg.pinv(rolls).T), real(rows))))
     assert names(found) == ["wheel gains"]
-    name = ("front left", "front right", "rear left", "rear right")[wheel]
-    assert f"the {name} wheel counts the wrong way" in found.mistakes[0].causes
+    name = ("front left", "front right", "rear left", "rear right", "")[wheel]
+    assert (f"the {name} wheel counts the wrong way" if name else "wheels are exchanged") in found.mistakes[0].causes
     back = increments(found.odometry.trajectory().xyt).rows
     assert np.allclose([np.corrcoef(back[:, k], rows[:, k])[0, 1] for k in range(3)], 1.0, atol=0.01)
 
@@ -168,21 +168,19 @@ def test_a_tracked_point_beside_the_centre_does_not_drive_in_reverse():
     assert names(first_look(Look((trajectory(rows * 3.7), seen)))) == ["wheel radius"]
 
 
-@pytest.mark.parametrize("factor", [0.5, 3.0, 1000.0])
+@pytest.mark.parametrize("factor", [0.5, 1.1, 3.0, 1000.0])
 @pytest.mark.parametrize("at", [0, 1], ids=["odometry", "truth"])
-@pytest.mark.parametrize("logged", [True, False])
+@pytest.mark.parametrize("logged", ["by a right clock", "by the wrong one", ""])
 def test_a_clock_of_another_rate(factor, at, logged):
     rows = driven(9)
-    pair = [trajectory(rows), real(rows)]
-    if logged:
-        pair = [replace(one, log_ns=one.stamps_ns) for one in pair]
+    pair = [replace(one, log_ns=one.stamps_ns if logged else one.log_ns) for one in (trajectory(rows), real(rows))]
     first = pair[at].stamps_ns[0]
     wrong = first + np.round((pair[at].stamps_ns - first) * factor).astype(np.int64)
-    pair[at] = pair[at].stamped(wrong)
+    pair[at] = replace(pair[at], stamps_ns=wrong, log_ns=wrong if "wrong" in logged else pair[at].log_ns)
     found = first_look(Look((pair[0], pair[1])))
     assert names(found) == ["clock rate"]
     assert found.odometry.span_s == pytest.approx(found.truth.span_s, rel=0.01)
-    assert not logged or found.truth.span_s == pytest.approx(len(rows) / HZ, rel=0.01)
+    assert "right" not in logged or found.truth.span_s == pytest.approx(len(rows) / HZ, rel=0.01)
 
 
 @pytest.mark.parametrize("headed", [True, False])
@@ -197,11 +195,31 @@ def test_odometry_that_stands_while_the_truth_moves(headed):
     assert np.sum(left_s < 38.0) + np.sum(left_s > 87.0) == np.sum(t_s < 38.0) + np.sum(t_s > 87.0) + 1
 
 
+@pytest.mark.parametrize(("every", "repeats"), [(200, 30), (6000, 1200)])
+def test_poses_that_are_repeated_and_then_jump(every, repeats):
+    rows = driven(11)
+    path, i = trajectory(rows), np.arange(len(rows) + 1)
+    late = np.where(i % every < repeats, i - i % every, i)
+    found = first_look(Look((replace(path, xyz=path.xyz[late], yaw_rad=path.yaw_rad[late]), real(rows))))
+    assert names(found) == ["repeated poses"]
+    assert np.isin(found.odometry.stamps_ns, path.stamps_ns[late == i]).mean() > 0.85
+
+
 @pytest.mark.parametrize("headed", [True, False])
-def test_encoders_without_direction_are_refused(headed):
+def test_encoders_without_direction_and_yaw_rates_without_sign_are_refused(headed):
+    bent = driven(6) * [0.0, 1.0, 1.0] + [0.3 / HZ, 0.0, 0.0]
+    with pytest.raises(RecordingError, match="/odom never turns right"):
+        first_look(Look((trajectory(np.abs(bent)), real(bent, headed=headed))))
     rows = driven() + np.array((0.0, 0.0, 0.2 / HZ))
     with pytest.raises(RecordingError, match="/odom never drives in reverse, the truth does in"):
         first_look(Look((trajectory(rims(rows, np.abs, np.abs)), real(rows, headed=headed))))
+
+
+def test_travel_sideways_that_is_not_counted():
+    rows = driven(14)
+    with pytest.raises(RecordingError, match="/odom moves sideways never, unlike /truth"):
+        first_look(Look((trajectory(rows), real(rows + np.roll(rows, len(rows) // 2, axis=0)[:, [1, 0, 1]]))))
+    assert not first_look(Look((trajectory(rows), real(rows + 0.1 * rows[:, [1, 2, 1]])))).mistakes
 
 
 @pytest.mark.parametrize(("sign", "size"), [(-1.0, 1.0), (1.0, 0.5), (-1.0, 3.0)])
@@ -279,12 +297,14 @@ def test_another_plane(order, plane):
     assert plane in found.mistakes[0].said
 
 
-def test_an_attitude_about_another_axis_leaves_positions():
+@pytest.mark.parametrize(
+    ("yaw", "named"), [(lambda a: np.pi * (np.cos(a) < 0), ["headings of the truth"]), (np.zeros_like, [])]
+)
+def test_an_attitude_about_another_axis_and_none_leave_positions(yaw, named):
     rows = driven()
     seen = real(rows)
-    tilted = replace(seen, yaw_rad=np.where(np.cos(seen.yaw_rad) > 0.0, 0.0, np.pi))
-    found = first_look(Look((trajectory(rows), tilted)))
-    assert names(found) == ["headings of the truth"]
+    found = first_look(Look((trajectory(rows), replace(seen, yaw_rad=yaw(seen.yaw_rad)))))
+    assert names(found) == named
     assert not found.truth.headed
 
 
@@ -323,16 +343,11 @@ def test_odometry_alone_shows_its_own_mistakes():
     assert [one.name for one in mistakes_alone(replace(good, yaw_rad=57.3 * good.yaw_rad))] == ["unit of headings"]
 
 
-def test_quaternions_without_w_are_refused(read):
-    moved = odometry(60.0)
-
-    class Unset(type(moved)):
-        @property
-        def quat(self):
-            return super().quat * [1.0, 1.0, 1.0, 0.0]
-
+@pytest.mark.parametrize("w", [0.0, 1.0])
+def test_quaternions_without_w_are_refused(read, w):
+    moved = written(odometry(60.0), lambda quat: quat * [1.0, 1.0, 1.0, 0.0] + [0.0, 0.0, 0.0, w])
     with pytest.raises(RecordingError, match=r"run.mcap: /odom: its orientations are no unit quaternions \(w is 0"):
-        read(Unset(moved.stamps_ns, moved.xyz, moved.yaw), truth(60.0))
+        read(moved, truth(60.0))
 
 
 @pytest.mark.parametrize("gain", [1 / 40.0, 100.0])
@@ -362,22 +377,13 @@ def test_what_is_complete_but_for_a_mistake_is_not_called_complete():
     assert mistakes_first(nothing, ()) == nothing
 
 
-@dataclass(frozen=True)
-class WFirst(Rows):
-    """Rows whose quaternions are written in the order w, x, y, z."""
+def written(rows, change):
+    """Return rows whose quaternions (n, 4) are written as a function of the right ones."""
 
-    @property
-    def quat(self):
-        return np.roll(super().quat, 1, axis=1)
+    class Written(Rows):
+        quat = property(lambda self: change(Rows.quat.fget(self)))
 
-
-@dataclass(frozen=True)
-class UpsideDown(Rows):
-    """Rows of a sensor that is mounted upside down."""
-
-    @property
-    def quat(self):
-        return np.column_stack((np.cos(self.yaw / 2), np.sin(self.yaw / 2), 0 * self.yaw, 0 * self.yaw))
+    return Written(rows.stamps_ns, rows.xyz, rows.yaw)
 
 
 def wheels_and_filter(rate_hz=25.0, lag_ns=4_000_000):
@@ -415,13 +421,13 @@ def test_a_truth_that_differs_by_a_millimetre_is_one(read):
 @pytest.mark.parametrize("topic_", ["/odom", "/truth"])
 def test_quaternions_in_the_order_w_x_y_z(read, topic_):
     moved, real = odometry(), truth()
-    first = [WFirst(r.stamps_ns, r.xyz, r.yaw) for r in (moved, real)]
+    first = [written(r, lambda quat: np.roll(quat, 1, axis=1)) for r in (moved, real)]
     with pytest.raises(RecordingError, match=f"{topic_}: its quaternions roll while they never turn"):
         read(*((first[0], real) if topic_ == "/odom" else (moved, first[1])))
 
 
 def test_a_sensor_upside_down_is_read(read):
-    assert read(odometry(), UpsideDown(truth().stamps_ns, truth().xyz, truth().yaw))
+    assert read(odometry(), written(truth(), lambda quat: quat[:, [3, 2, 0, 1]]))
 
 
 def of(path, name="/odom", *, headed=True):

@@ -217,7 +217,7 @@ def test_headings_that_never_change_are_no_headings(read):
     real = truth()
     recordings = read(real=real.having(yaw=0.0 * real.yaw))
     assert np.isnan(recordings[0].truth.xyt[:, 2]).all()
-    noted(recordings, "its headings do not follow its own path: they never change")
+    noted(recordings, "its headings never change: its positions alone are used")
 
 
 def test_localisation_on_top_of_the_odometry_is_noticed(tmp_path):
