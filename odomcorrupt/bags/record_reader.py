@@ -268,12 +268,12 @@ class RecordReader(ABC):
 
 
 def _runs(items: Iterable[T], goes_on: Callable[[list[T], T], bool]) -> Iterator[list[T]]:
-    """Yield items in runs: each item goes on with those before it, or begins another run."""
+    """Yield items in runs, each valid until the next: an item goes on with those before it, or begins another run."""
     run: list[T] = []
     for item in items:
         if run and not goes_on(run, item):
             yield run
-            run = []
+            run.clear()  # their memory is free for the next ones
         run.append(item)
     if run:
         yield run
