@@ -6,7 +6,7 @@ import re
 from abc import ABC, abstractmethod
 from dataclasses import replace
 from itertools import chain
-from typing import TYPE_CHECKING, Self, TypeVar
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -19,15 +19,13 @@ from odomcorrupt.bags.source import BufferPool, Source, extended, lies_behind
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+    from collections.abc import Container, Iterable, Iterator, Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import Channel
 
-
-T = TypeVar("T")
 
 _ADVICE = re.compile(r"[;,]? *(?:try )?--recover\b.*\Z", re.DOTALL)
 
@@ -139,7 +137,7 @@ class RecordReader(ABC):
                     self._only[[number for number in self.channels if number not in only and number < 0xFFFF]] = False
                 source.seek(self._data_start)
                 blocks = self._pass(source)
-                yield from blocks if self._only is None else map(_joined, _runs(blocks, _are_joined))
+                yield from blocks if self._only is None else _with_joined(blocks)
         else:
             if self._begun:
                 raise BagError(f"{self.name}: a pipe can be read once only; write it to a file first")
@@ -170,16 +168,19 @@ class RecordReader(ABC):
 
     def _pass(self, source: Source) -> Iterator[Block]:
         """Yield the blocks of a source, and register channels on the way."""
-        for run in _runs(self._parts(source), self._goes_on):
-            if isinstance(run[0], Block):  # which is alone
-                yield run[0]
+        run: list[Chunk] = []  # whose messages are found at once
+        for part in self._parts(source):
+            alone = self._recover or not self.count  # the first chunk may be all that is asked for
+            enough = sum(len(index) for one in run for _, index in one.indexes) > 12 * _ENOUGH_MESSAGES
+            if run and (alone or enough or not isinstance(part, Chunk) or not run[-1].goes_on_with(part)):
+                yield from self._finished(run)
+                run.clear()  # the memory is free for others
+            if isinstance(part, Chunk):
+                run.append(part)
             else:
-                yield from self._finished(run)  # type: ignore[arg-type]
-
-    def _goes_on(self, run: list[Chunk | Block], part: Chunk | Block) -> bool:
-        """Return whether a part is a chunk whose messages are found at once with those of others."""
-        alone = self._recover or not self.count  # the first chunk may be all that is asked for
-        return not alone and isinstance(part, Chunk) and isinstance(run[-1], Chunk) and run[-1].goes_on_with(part)
+                yield part
+        if run:
+            yield from self._finished(run)
 
     def _finished(self, run: list[Chunk]) -> Iterator[Block]:
         """Yield the messages of chunks in one buffer; with recovery those of one that are intact."""
@@ -267,22 +268,20 @@ class RecordReader(ABC):
         self._source.close()
 
 
-def _runs(items: Iterable[T], goes_on: Callable[[list[T], T], bool]) -> Iterator[list[T]]:
-    """Yield items in runs, each valid until the next: an item goes on with those before it, or begins another run."""
-    run: list[T] = []
-    for item in items:
-        if run and not goes_on(run, item):
-            yield run
-            run.clear()  # their memory is free for the next ones
-        run.append(item)
+def _with_joined(blocks: Iterable[Block]) -> Iterator[Block]:
+    """Yield blocks, with those that lie side by side in a sparse buffer joined."""
+    run: list[Block] = []
+    for block in blocks:
+        few = sum(len(one.table) for one in [*run, block]) <= _ENOUGH_MESSAGES
+        if run and not (few and block.sparse and lies_behind(block.data, run[-1].data)):
+            yield _joined(run)
+            run = []
+        if block.sparse:
+            run.append(block)
+        else:
+            yield block
     if run:
-        yield run
-
-
-def _are_joined(run: list[Block], block: Block) -> bool:
-    """Return whether a block lies directly behind others in a sparse buffer."""
-    few = sum(len(one.table) for one in [*run, block]) <= _ENOUGH_MESSAGES
-    return bool(block.sparse) and few and lies_behind(block.data, run[-1].data)
+        yield _joined(run)
 
 
 def _joined(run: list[Block]) -> Block:
