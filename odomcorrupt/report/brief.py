@@ -294,7 +294,7 @@ def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[L
         ranks[name] = (group, -one.gain_nats)
         said += _contact_words(one.effect, search)
         # without any likelier effect it is what the errors fall by
-        weight = FOUND if group is _Group.NAMED else SPARE if doubtful and sure else USUAL
+        weight = FOUND if not doubtful else SPARE if sure else USUAL
         ranked.append(
             (ranks[name], Line(label, said, weight=weight, part="" if group is _Group.SET_UP else _part(one)))
         )
