@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.effect import choices
 from odomcorrupt.effects.wheels import brings_track
 from odomcorrupt.study.estimate.drive_type import MOUNTING, DriveType, drive_type_of, is_yaw_gain_of, mountings
 from odomcorrupt.study.estimate.regressors import drives_sideways
@@ -46,8 +45,8 @@ def library_families(
             continue
         if wanted and possible:
             family = LibraryTerm.family(kind, motions)
-            if (source := drive.heading_source) and "heading" in choices(family[0].start):
-                family = tuple(t for t in family if getattr(t.start, "heading", "") == source)
+            if source := drive.heading_source:
+                family = tuple(t for t in family if getattr(t.start, "heading", source) == source)
             if drive.steered:  # its odometry does not compare two wheels
                 family = tuple(t for t in family if not (getattr(t.start, "track", 0.0) or kind.needs_track))
             families.append(family)
