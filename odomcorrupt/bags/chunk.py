@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 def gaps_between(
     starts: NDArray[np.int64], ends: NDArray[np.int64], chunk_ends: tuple[int, ...]
 ) -> list[tuple[int, int]] | None:
-    """Return the spans of chunks not covered by records (n,), sorted by start; None where any overlap.
+    """Return the spans of chunks without records (n,), sorted by start; None if some overlap or lie in two chunks.
 
     If the gaps consist of whole records, none of the indexed kind, the index is correct and complete.
     """

@@ -169,14 +169,17 @@ class RecordReader(ABC):
     def _pass(self, source: Source) -> Iterator[Block]:
         """Yield the blocks of a source, and register channels on the way."""
         run: list[Chunk] = []  # whose messages are found at once
+        indexed = 0  # bytes of their indexes, 12 or 16 a message
         for part in self._parts(source):
             alone = self._recover or not self.count  # the first chunk may be all that is asked for
-            enough = sum(len(index) for one in run for _, index in one.indexes) > 12 * _ENOUGH_MESSAGES
-            if run and (alone or enough or not isinstance(part, Chunk) or not run[-1].goes_on_with(part)):
+            enough = alone or indexed > 12 * _ENOUGH_MESSAGES
+            if run and (enough or not isinstance(part, Chunk) or not run[-1].goes_on_with(part)):
                 yield from self._finished(run)
                 run.clear()  # the memory is free for others
+                indexed = 0
             if isinstance(part, Chunk):
                 run.append(part)
+                indexed += sum(len(index) for _, index in part.indexes)
             else:
                 yield part
         if run:
@@ -271,11 +274,13 @@ class RecordReader(ABC):
 def _with_joined(blocks: Iterable[Block]) -> Iterator[Block]:
     """Yield blocks, with those that lie side by side in a sparse buffer joined."""
     run: list[Block] = []
+    messages = 0
     for block in blocks:
-        few = sum(len(one.table) for one in [*run, block]) <= _ENOUGH_MESSAGES
+        messages += len(block.table)
+        few = messages <= _ENOUGH_MESSAGES
         if run and not (few and block.sparse and lies_behind(block.data, run[-1].data)):
             yield _joined(run)
-            run = []
+            run, messages = [], len(block.table)
         if block.sparse:
             run.append(block)
         else:

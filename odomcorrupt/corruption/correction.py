@@ -132,7 +132,7 @@ class _Stretch:
 def body_difference(clean_xyt: Array, correction_xyt: Array, turn_rad: Array | None = None) -> tuple[Array, Array]:
     """Return noisy minus clean body increments (n - 1, 3), each at its own mid heading, and the clean ones.
 
-    Only changes of the correction enter: where it is held, the difference is zero. Headings may jump if turns are given
+    Only changes of the correction enter: where it is held, all is zero. turn_rad : turns (n - 1,) where headings jump
     """
     (x, y, heading), (shift_x, shift_y, angle) = clean_xyt.T, correction_xyt.T
     turn, swing = wrap(np.diff(heading)) if turn_rad is None else turn_rad, np.diff(angle)

@@ -23,7 +23,7 @@ FAR_M = 1e9
 """Where no robot is: a pose so far away is no number of use."""
 
 _STEEP = float(np.sin(np.deg2rad(85.0)))
-"""Sine of a pitch at which the body's x axis points up or down, and the heading is an accident of small roll."""
+"""Sine of a pitch at which the body's x axis points up or down, and small roll decides on the heading."""
 
 
 _FLAT2 = 0.02  # (sine of half the tilt)^2 up to which a rotation is about the x axis alone: a tilt of 16 deg

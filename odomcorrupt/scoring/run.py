@@ -364,9 +364,9 @@ def score(
 def _require_one_frame(run: RunScore, true_frame: str, align: Alignment) -> None:
     """Refuse to subtract poses in two frames."""
     if align == "none" and run.frame and true_frame and run.frame.strip("/") != true_frame.strip("/"):
-        said = f"{run.name}: the estimate is in frame {run.frame}, the truth in {true_frame}; name a truth in"
+        said = f"{run.name}: the estimate is in frame {run.frame}, the truth in {true_frame}"
         way_out = "with --truth, align them with --align rigid, or say --align same if both frames are one"
-        raise ScoreError(f"{said} {run.frame} {way_out}")
+        raise ScoreError(f"{said}; name a truth in {run.frame} {way_out}")
 
 
 def _batches(root: Path) -> list[tuple[str, Path, Path]]:

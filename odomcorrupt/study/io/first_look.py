@@ -898,7 +898,8 @@ def _stands(look: Look) -> Figures | None:
     return {"lost": f"{lost_s:.0f}", "share": f"{lost.sum() / moves.sum():.0%}", "undo": undo}
 
 
-def _turn_between(path: Samples) -> float:  # usually the largest from one message to the next, rad
+def _turn_between(path: Samples) -> float:
+    """Return the usual largest turn from one message to the next, rad."""
     return float(np.percentile(np.abs(wrap(np.diff(path.yaw_rad))), 95.0))
 
 
