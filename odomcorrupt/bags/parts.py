@@ -166,16 +166,13 @@ def _missing_parts(files: list[Path]) -> list[int] | None:
 
 
 def pattern_of(files: Sequence[Path]) -> Path | None:
-    """Return the pattern of the names of files that are the parts of one recording, all of them; None if they are not.
-
-    files : as a shell expands run_*.bag
-    """
-    first = _COUNTED.fullmatch(files[0].name)
-    if first is None:
+    """Return the pattern of the names of files that are parts of one recording, perhaps not all of them; else None."""
+    if (first := _COUNTED.fullmatch(files[0].name)) is None:
         return None
-    pattern = files[0].parent / f"{_DATE.sub('*', glob.escape(first['stem']))}[0-9]*{first['suffix']}*"
+    pattern = files[0].parent / f"{_DATE.sub('*', glob.escape(first['stem']))}[0-9]*{first['suffix']}"
+    pattern = pattern.with_name(f"{pattern.name}*") if any(one.suffix != pattern.suffix for one in files) else pattern
     every = bags_in(pattern)
-    return pattern if every == sorted(files, key=_counting) and _missing_parts(every) is not None else None
+    return pattern if set(files) <= set(every) and _missing_parts(every) is not None else None
 
 
 _NUMBERS = re.compile(r"([0-9]{1,18})")

@@ -257,7 +257,7 @@ class Job:
             return _SUFFIXES[self.batch.to]
         name = self.source.with_suffix("") if self.source.suffix in (".zstd", ".zst") else self.source
         if not self.source.is_dir():
-            return name.suffix
+            return name.suffix.rstrip("*")
         held = {one.suffix for one in self.source.iterdir()}  # parts of a recording of ROS 1
         return ".bag" if held & {".bag", ".active"} and not held & {".db3", ".mcap", ".yaml", ".zstd", ".zst"} else ""
 

@@ -194,17 +194,18 @@ def one_input(files: Sequence[str]) -> str:
     """
     if len(files) == 1:
         return files[0]
-    missing = [file for file in files if not Path(file).exists()]
-    if missing:
+    if missing := [file for file in files if not Path(file).exists()]:
         raise click.UsageError(f"Got unexpected extra argument: {missing[0]} does not exist; write INPUT OUTPUT")
-    from odomcorrupt.bags.parts import pattern_of
+    from odomcorrupt.bags.parts import bags_in, pattern_of
 
-    pattern = pattern_of([Path(file) for file in files])
-    if pattern is None:
+    paths = [Path(file) for file in files]
+    if (pattern := pattern_of(paths)) is None:
         raise click.UsageError(
             f"{len(files)} inputs ({files[0]}, {files[1]}, ...) are not evidently the parts of one recording, such as "
             "run_0.bag and run_1.bag; run the command for each of them, or `odomcorrupt batch` for all"
         )
+    if more := [one.name for one in bags_in(pattern) if one not in paths]:
+        raise click.UsageError(f"{', '.join(more)}: part of the same recording; name it, too, or write '{pattern}'")
     return str(pattern)
 
 

@@ -108,7 +108,7 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, console: Cons
 def _paths(paths: tuple[Path, ...], option: str | None, console: Console) -> tuple[tuple[Path, ...], Path]:
     """Return the inputs and the directory, which is the last argument unless -o gives it."""
     from odomcorrupt.bags.open import is_pattern
-    from odomcorrupt.bags.parts import pattern_of
+    from odomcorrupt.bags.parts import bags_in, pattern_of
 
     inputs, last = (paths, None) if option is not None else (paths[:-1], str(paths[-1]))
     target = Path(chosen_output(last, option, "DIRECTORY"))
@@ -120,8 +120,10 @@ def _paths(paths: tuple[Path, ...], option: str | None, console: Console) -> tup
     if target.is_file():
         raise click.UsageError(f"Invalid value for 'DIRECTORY': Directory '{target}' is a file.")
     pattern = pattern_of(inputs) if len(inputs) > 1 else None
-    if pattern is not None and ".bag" in pattern.name:
-        console.note(f"{len(inputs)} inputs, a batch of each; the parts of one recording are one: write '{pattern}'")
+    # rosbag record --split counts from 0
+    if pattern and len(bags_in(pattern)) == len(inputs) and any(re.search(r"\D0+\.bag", one.name) for one in inputs):
+        console.note(f"{len(inputs)} inputs are the parts of one recording, {pattern}; for batches of each, name one")
+        inputs = (pattern,)
     return inputs, target
 
 
@@ -134,8 +136,7 @@ def _options(inputs: tuple[Path, ...], given: dict[str, Any]) -> dict[str, Any]:
     passed = ("runs", "seed", "output", "layout", "to", "also", "robots", "fleet", "sweeps", "points")
     options = {**words, **{name: given[name] for name in (*passed, "jobs", "shard", "verify", "dask")}}
     if given["fleet"]:
-        other = _words(["model", *_OF_MODEL], given)[:1]
-        if other:
+        if other := _words(["model", *_OF_MODEL], given)[:1]:
             raise click.UsageError(
                 f"--fleet and {other[0]}: the files of a fleet are its whole model; leave {other[0]} out"
             )

@@ -102,8 +102,7 @@ def split(room, storage, parts, *, writer="rosbags"):
 
 
 def dump(document, room):
-    with (room / "metadata.yaml").open("w") as stream:
-        YAML(typ="safe").dump(document, stream)
+    YAML(typ="safe").dump(document, room / "metadata.yaml")
 
 
 def seen(path):
@@ -191,15 +190,15 @@ def test_a_damaged_metadata_file_costs_no_message(storage, harm, tmp_path):
     assert info_of(tmp_path / "out")["relative_file_paths"] == [file.name for file in files]
 
 
-def _no_topic(info):
-    del info["topics_with_message_count"][1]
+def _paths(info, before, **more):
+    info.update(relative_file_paths=[before + name for name in info["relative_file_paths"]], **more)
 
 
 STATED = {
     "no storage": lambda info: info.update(storage_identifier=""),
     "another storage": lambda info: info.update(storage_identifier="rosbag_v2"),
     "counts of 0": lambda info: info.update(message_count=0, duration={"nanoseconds": 0}),
-    "a topic missing": _no_topic,
+    "a topic missing": lambda info: info["topics_with_message_count"].pop(1),
     "no topics": lambda info: info.pop("topics_with_message_count"),
     "topics that are none": lambda info: info.update(topics_with_message_count=[3, "x"]),
     "times of a year": lambda info: info.update(starting_time={"nanoseconds_since_epoch": 1}),
@@ -207,6 +206,8 @@ STATED = {
     "a version in quotes": lambda info: info.update(version="9"),
     "another type": lambda info: info["topics_with_message_count"][0]["topic_metadata"].update(type="a/msg/B"),
     "files of another bag": lambda info: info.update(files=[{"path": "other.db3", "message_count": 5}]),
+    "files elsewhere": lambda info: _paths(info, "/", files=[{"path": "/run_0.db3"}], custom_data=["x"]),
+    "files of the version before 4": lambda info: _paths(info, "in/", version=3),
 }
 
 
@@ -230,8 +231,10 @@ def test_what_is_stated_is_what_was_counted(storage, wrong, tmp_path, capsys):
     assert {one["topic_metadata"]["name"]: one["message_count"] for one in info["topics_with_message_count"]} == {
         "/odom": 2 * EACH, "/text": 2 * EACH,
     }  # fmt: skip
-    assert [one["path"] for one in info["files"]] == [file.name for file in files]
-    assert [one["message_count"] for one in info["files"]] == [2 * EACH, 2 * EACH]
+    listed = info["version"] > 3
+    assert info["relative_file_paths"] == ["out/" * (not listed) + file.name for file in files]
+    assert [one["path"] for one in info["files"]] == [file.name for file in files] * listed
+    assert [one["message_count"] for one in info["files"]] == [2 * EACH, 2 * EACH] * listed
 
 
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
@@ -277,20 +280,15 @@ def test_parts_of_ros_1_are_one_drive(named, way, tmp_path, monkeypatch, capsys)
     for file, name in zip(files, names, strict=True):
         file.rename(file.with_name(name))
     words = {"folder": ["in"], "pattern": ["in/run_*.bag"]}.get(way, [f"in/{name}" for name in names])
-    target = ["-o", "out.bag"] if way.endswith("-o") else ["out.bag"]
-    assert run([*words, *target, "--seed", "3", "-q"]) == 0
+    assert run([*words, *["-o"] * way.endswith("-o"), "out.bag", "--seed", "3", "-q"]) == 0
     assert run(["whole.bag", "same.bag", "--seed", "3", "-q"]) == 0
     assert seen(tmp_path / "out.bag") == seen(tmp_path / "same.bag")
     assert capsys.readouterr().err == ""
     assert run(["info", *words]) == 0
     assert "ODOMETRY  /odom" in capsys.readouterr().out
     assert run(["batch", *words, "runs", "--runs", "1", "--seed", "3"]) == 0
-    if way.startswith("files"):  # a batch of each, as always
-        assert (
-            "3 inputs, a batch of each; the parts of one recording are one: write 'in/run_" in capsys.readouterr().err
-        )
-    else:
-        assert seen(tmp_path / "runs" / "run_000000.bag") == seen(tmp_path / "out.bag")
+    assert seen(tmp_path / "runs" / "run_000000.bag") == seen(tmp_path / "out.bag")
+    assert ("3 inputs are the parts of one recording, in/run_" in capsys.readouterr().err) == way.startswith("files")
 
 
 @pytest.mark.parametrize("at", [0, 1, 2])
@@ -320,10 +318,12 @@ def test_under_recover_the_summary_says_what_is_lost_of_parts_and_of_metadata(tm
 
 def test_several_inputs_that_are_no_recording_are_refused_with_the_way_out(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    for name in ("a.bag", "b.bag"):
+    for name in ("a.bag", "b.bag", "c_0.bag", "c_1.bag", "c_2.bag"):
         write_part(tmp_path / name, "ros1", range(3))
     assert run(["a.bag", "b.bag", "out.bag"]) == 2
     assert "2 inputs (a.bag, b.bag, ...) are not evidently the parts of one recording" in capsys.readouterr().err
+    assert run(["c_0.bag", "c_1.bag", "out.bag"]) == 2
+    assert "c_2.bag: part of the same recording; name it, too, or write 'c_[0-9]*.bag'" in capsys.readouterr().err
     assert run(["a.bag", "out.bag", "third"]) == 2
     assert "unexpected extra argument: out.bag does not exist" in capsys.readouterr().err
 

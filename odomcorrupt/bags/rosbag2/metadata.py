@@ -33,8 +33,8 @@ _NEW: dict[str, Any] = {
     "ros_distro": "",
 }
 """What a metadata.yaml of version 8 holds, in its order."""
-_FIRST_WITH_FILES = 5
-"""Version of metadata.yaml since which it lists the contents of each file."""
+_FIRST = {"plain names": 4, "files": 5}
+"""Versions of metadata.yaml since which names of files have no directory, and the contents of each file are listed."""
 _WITHOUT = "--recover does without it, as if it were removed: the directory's files are read by their names"
 
 
@@ -93,20 +93,21 @@ def edited(text: str, change: Callable[[dict[str, Any]], None]) -> str:
 
 def add_provenance(info: dict[str, Any], name: str, items: Mapping[str, str]) -> None:
     """Add provenance metadata to custom_data."""
-    custom = info.get("custom_data") or {}
+    custom: Any = info.get("custom_data") if isinstance(info.get("custom_data"), dict) else {}
     info["custom_data"] = {**custom, **{f"{name}.{key}": value for key, value in items.items()}}
 
 
 def count(
-    info: dict[str, Any], storage: str, parts: Sequence[PartContents], topics: Sequence[TopicInfo], mode: str = "none"
-) -> None:
+    info: dict[str, Any], storage: str, parts: Sequence[PartContents], topics: Sequence[TopicInfo], mode: str = "none",
+    folder: str = "",
+) -> None:  # fmt: skip
     """State the contents of a bag's files as they were counted, whatever was stated before.
 
     info : the bag information, which is changed
     storage : mcap or sqlite3
     parts : the files, with their names
     topics : all topics; those that the information lacks are added
-    mode : what is compressed
+    mode, folder : what is compressed; name of the bag's directory, which old versions put before the files'
     """
     if not isinstance(info.get("version"), int):
         described = [_topic_entry(topic, hashed=True)["topic_metadata"] for topic in topics]
@@ -119,12 +120,12 @@ def count(
     if mode != "none" or str(info.get("compression_mode") or "none").lower() not in ("none", "storage"):
         info["compression_mode"] = "" if mode == "none" else mode.upper()
         info["compression_format"] = "" if mode == "none" else "zstd"
-    names = [part.name for part in parts]
-    if [str(name).rsplit("/", 1)[-1] for name in info.get("relative_file_paths", ())] != names:
-        info["relative_file_paths"] = names
-    if info.get("files") or info["version"] >= _FIRST_WITH_FILES:
-        before = {str(file.get("path")).rsplit("/", 1)[-1]: file for file in info.get("files") or []}
-        info["files"] = [before.get(part.name, {"path": part.name}) for part in parts]
+    before = f"{folder}/" if folder and info["version"] < _FIRST["plain names"] else ""
+    # a player would open what other names point to: the input
+    info["relative_file_paths"] = [before + part.name for part in parts]
+    if info.get("files") or info["version"] >= _FIRST["files"]:
+        stated = {str(file.get("path")): file for file in info.get("files") or []}
+        info["files"] = [stated.get(part.name, {"path": part.name}) for part in parts]
         for file, part in zip(info["files"], parts, strict=True):
             _span(file, [part])
 

@@ -119,7 +119,7 @@ class Rosbag2Writer:
         if text is None:
             text = generated(self._kind, parts, topics, self._mode)
         else:
-            text = edited(text, lambda info: count(info, self._kind, parts, topics, self._mode))
+            text = edited(text, lambda info: count(info, self._kind, parts, topics, self._mode, self._path.name))
         for name, items in self._provenance:
             text = edited(text, lambda info, name=name, items=items: add_provenance(info, name, items))  # type: ignore[misc]
         return text
