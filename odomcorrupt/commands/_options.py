@@ -106,8 +106,8 @@ class OutputFile(click.Path):
         """Raise an error if a file has another suffix, exists already, or the drawing library is missing."""
         kind = kind_of(path)
         if self._kinds and kind not in self._kinds:
-            *others, last = (f".{one}" for one in self._kinds)
-            raise click.UsageError(f"{path}: ends in {path.suffix or 'nothing'}; write {', '.join(others)} or {last}")
+            wanted = " or .".join(", .".join(self._kinds).rsplit(", .", 1))
+            raise click.UsageError(f"{path}: ends in {path.suffix or 'nothing'}; write .{wanted}")
         if self._drawn or kind in PICTURES:
             require("matplotlib")
         refuse_existing(path, overwrite=overwrite)

@@ -12,7 +12,7 @@ import click
 from click.core import ParameterSource
 
 from odomcorrupt.commands._bag import unpack_option
-from odomcorrupt.commands._options import OUTPUT, PAGE, TRACK, Decorator, Number, Share, added, setting, words_of
+from odomcorrupt.commands._options import PAGE, TRACK, Decorator, Number, OutputFile, Share, added, setting, words_of
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import written
 from odomcorrupt.drive_types import AUTO, DRIVE_TYPES
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from odomcorrupt.api.findings import Findings
     from odomcorrupt.api.recordings import Recordings
     from odomcorrupt.commands._standard import Console, Files
+
+WORSE = "{}: not written: it predicts held-out data worse than no effects do; above is what was tried; {}"
+"""Why a model file is not written, for its path and a way out."""
 
 
 class Reading(NamedTuple):
@@ -175,15 +178,9 @@ def _spooled(path: Path) -> Path:
     return temporary_copy(sys.stdin.buffer, folder / f"stdin{path.suffix}", "stdin")
 
 
-def _mcap(_ctx: click.Context, _option: click.Parameter, drive: Path | None) -> Path | None:
-    if drive is not None and drive.suffix != ".mcap":
-        raise click.UsageError(f"--drive {drive}: commands are written as MCAP; end the name in .mcap")
-    return drive
-
-
 advice_options = added(
     click.option(
-        "--drive", type=OUTPUT, callback=_mcap,
+        "--drive", type=OutputFile("mcap"),
         help="Write the manoeuvre that separates the effects that these data leave undecided, as /cmd_vel in an MCAP.",
     ),
     click.option("--report", type=PAGE, help="Write the full result as one HTML page with pictures."),

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import click
 
 from odomcorrupt.commands._model import completing
 from odomcorrupt.commands._options import FILE, OUTPUT, Number
-from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
+from odomcorrupt.commands._recordings import WORSE, Reading, recording_options, split_arguments
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
+from odomcorrupt.errors import FitError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,10 +58,10 @@ def command(
     """Fit the noise coefficients, the truth's own noise, clocks and set-up, and the requested effects.
 
     Of the set-up, a lever arm and a mounting yaw of the truth are fitted if the data show them. Several recordings
-    are runs of one robot, each with its own clock.
+    are runs of one robot, each with its own clock. A model that makes the error on held-out data larger is not written.
     """
-    from odomcorrupt.api.findings import fit, require_effects
-    from odomcorrupt.api.model import as_model
+    from odomcorrupt.api.findings import compare, fit, require_effects
+    from odomcorrupt.api.model import Model, as_model
 
     paths, models = split_arguments(recordings)
     if models:
@@ -73,13 +75,17 @@ def command(
     require_effects(begin, add)
     with reading.stages(console) as stages:
         runs, _ = reading.read(paths, console, stages, track=begin.motion_model.track_m if begin else None)
-        stages("fit", 0.0)
+        stages("fit" if output is None else "fit, cross-validation", 0.0)
         result = fit(runs, add, start=begin, law=law)
-    following = ["fit", *typed_words(), "-o", "robot.toml"]
-    if output is not None:
-        following = ["compare", *map(str, paths), *reading.words, str(output)]
-    files = written(output, lambda path: result.model.save(path, overwrite=True))
+        without = Model.of(replace(result.model.motion_model, effects=()))
+        worse = output is not None and result.model != without and compare(runs, [without, result.model]).worse
+    model = None if worse else output
+    again = ["fit", *typed_words(), "-o", "robot.toml"]
+    following = ["compare", *map(str, paths), *reading.words, str(model)] if model else again
+    files = written(model, lambda path: result.model.save(path, overwrite=True))
     console.show(result.then("odomcorrupt", *following), files=files)
+    if model != output:
+        raise FitError(WORSE.format(output, "leave effects out, or let `learn` select them"))
 
 
 def _square_test(
@@ -101,8 +107,7 @@ def _square_test(
     poses = [_end(text) for text in ends]
     if len(poses) not in (1, len(paths)):
         raise click.UsageError(f"{len(poses)} --end for {len(paths)} drives; give one for all, or one for each")
-    with reading.stages(console) as stages:
-        stages("fit", 0.0)
+    with reading.stages(console):
         result = fit_returns(paths, poses, effects=add, odom=given["odom"], track_m=given["track"], scan=given["scan"])
     console.show(result, files=written(output, lambda path: result.model.save(path, overwrite=True)))
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from odomcorrupt.commands._options import OUTPUT, PICTURE
-from odomcorrupt.commands._recordings import advice_files, advice_options, recording_options, split_arguments
+from odomcorrupt.commands._recordings import WORSE, advice_files, advice_options, recording_options, split_arguments
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import FitError
 
@@ -68,10 +68,7 @@ def command(
     saved = written(model, lambda path: result.model.save(path, overwrite=True))
     console.show(result, files={**saved, **advice_files(result, drive, report), **written(plot, result.plot)})
     if output is not None and model is None:
-        raise FitError(
-            f"{output}: not written: held-out data are predicted worse with this model than without effects; the "
-            "report says what was tried; add recordings, or name the effects (`fit --add`)"
-        )
+        raise FitError(WORSE.format(output, "add recordings, or name the effects (`fit --add`)"))
 
 
 def _remedy(robot: MotionModel, model: Path, recording: Path) -> list[object]:

@@ -514,7 +514,7 @@ def test_where_a_law_is_included_learn_comes_next_because_it_alone_writes_laws(f
     [
         (["learn", "{bag}", "{model}"], "`fit --start` and `diagnose` take models"),
         (["diagnose", "{bag}", "{model}", "{other}"], "2 models given; diagnose one at a time"),
-        (["diagnose", "{bag}", "--drive", "next.bag"], "commands are written as MCAP"),
+        (["diagnose", "{bag}", "--drive", "next.bag"], "next.bag: ends in .bag; write .mcap"),
         (["fit", "{bag}", "{model}"], "is a model; pass it with --start"),
     ],
 )

@@ -41,11 +41,11 @@ def test_learned_and_held_out_recordings_keep_their_own_clocks(tmp_path, capsys)
 
 def test_a_model_that_makes_held_out_data_worse_is_not_written(tmp_path, capsys, monkeypatch):
     model = tmp_path / "robot.toml"
-    bag = simulated(tmp_path / "run.mcap", "--seed", "5", "--duration", "60")
-    monkeypatch.setattr(Comparison, "worse", property(lambda _: True))
-    assert run(["learn", bag, "-o", str(model)]) == 1
-    assert not model.exists()
-    said = capsys.readouterr()
-    assert "robot.toml: not written" in said.err
-    assert "what was tried" in said.err
-    assert said.out
+    each = [("--effect", f"wheel_scale:e={e}", "--seed", "5", "--duration", "60") for e in (-0.03, 0.03)]
+    bags = [simulated(tmp_path / f"{i}.mcap", *words) for i, words in enumerate(each)]
+    for words in (["fit", *bags, "--add", "wheel_scale"], ["learn", bags[0]]):
+        if words[0] == "learn":  # it selects none of the kind
+            monkeypatch.setattr(Comparison, "worse", property(lambda _: True))
+        assert run([*words, "-o", str(model)]) == 1
+        assert not model.exists()
+        assert re.search("10 s error(?s:.*)robot.toml: not written.* tried", "".join(capsys.readouterr()))
