@@ -94,8 +94,7 @@ def find_odometry(channels: Iterable[Channel], asked: str | None, bag: str, usua
     topics = sorted({c.topic for c in channels if c.msgtype == ODOMETRY and c.encoding in ENCODINGS})
     found = ", ".join(sorted({c.topic for c in channels})) or "no topic at all"
     if asked is not None:
-        same = [topic for topic in topics if plain(topic) == plain(asked)]
-        if same:
+        if same := [topic for topic in topics if plain(topic) == plain(asked)]:
             return same[0]
         kinds = sorted({f"{c.msgtype} in {c.encoding}" for c in channels if plain(c.topic) == plain(asked)})
         if kinds:
@@ -338,8 +337,7 @@ class OdometrySource:
 
     def _recognise(self, parts: list[tuple[Channel, Layout]]) -> None:
         """Set topic and frames from the first odometry message, or from the TF edge where there is none."""
-        driving = [(channel, layout) for channel, layout in parts if self.is_odometry(channel)]
-        if driving:
+        if driving := [(channel, layout) for channel, layout in parts if self.is_odometry(channel)]:
             channel, layout = min(driving, key=lambda part: int(part[1].rows[0]))
             self.topic = channel.topic
             self.frames = resolve_frames(
@@ -365,17 +363,20 @@ class OdometrySource:
 
 
 MOTION_TYPES = frozenset({
-    "DynamicJointState", "EstimatorStates", "GPSFix", "GeoPointStamped", "GeoPoseStamped", "Imu", "JointState",
-    "LinkStates", "MagneticField", "ModelStates", "MultiDOFJointState", "NavPVT", "NavSatFix", "Odometry",
-    "ParticleCloud", "Path", "PointStamped", "Pose", "Pose2D", "PoseArray", "PoseStamped", "PoseWithCovariance",
-    "PoseWithCovarianceStamped", "SensorCombined", "SensorGps", "SensorState", "TransformStamped", "TwistStamped",
+    "AccelStamped", "AccelWithCovarianceStamped", "DynamicJointState", "EstimatorStates", "Feedback", "GPSFix",
+    "GeoPointStamped", "GeoPoseStamped", "Imu", "JointState", "LinkStates", "LynxMultiFeedback", "MagneticField",
+    "ModelStates", "MultiDOFJointState", "NavPVT", "NavSatFix", "Odometry", "ParticleCloud", "Path", "PointStamped",
+    "Pose", "Pose2D", "PoseArray", "PoseStamped", "PoseWithCovariance", "PoseWithCovarianceStamped",
+    "PumaMultiFeedback", "SensorCombined", "SensorGps", "SensorState", "TransformStamped", "TwistStamped",
     "TwistWithCovariance", "TwistWithCovarianceStamped", "VehicleAcceleration", "VehicleAngularVelocity",
     "VehicleAttitude", "VehicleGlobalPosition", "VehicleImu", "VehicleLocalPosition", "VehicleOdometry",
-    "VelocityReport",
+    "VelocityReport", "VescStateStamped",
 })  # fmt: skip
 """Messages that carry motion or poses, of whatever package: last part of the type."""
 
-_WHEELS = re.compile(r"(?i)wheels?[_/]?(tick|vel|speed|state|stat|odom|enc|rpm|angle|pos|count)|ticks?\b|encoder|rpm")
+_WHEELS = re.compile(
+    r"(?i)(?<!steering[_/])wheels?([_/]?(tick|vel|speed|stat|odom|enc|rpm|angle|pos|count|left|right)|$)|ticks?\b|encoder|rpm"
+)
 """Types, or topics of plain numbers, that carry the motion of wheels."""
 
 _COMMANDS = re.compile(r"cmd|command|target|setpoint|desired|reference")

@@ -375,8 +375,7 @@ class Transform:
             channel = reader.channels[number]
             if self.may_move(channel):
                 parts += [(channel, layout) for layout in locate(block, channel)]
-        poses = [part for part in parts if _has_poses(part[0])]
-        if poses:
+        if poses := [part for part in parts if _has_poses(part[0])]:
             self._add(self.odometry.read(block, poses, time_ns))
         if len(time_ns):
             self._now_ns = int(time_ns[-1])
