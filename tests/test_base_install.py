@@ -45,25 +45,6 @@ def test_bags_are_corrupted_with_effects(words, tmp_path):
     assert (done.returncode, "Traceback" in done.stderr) == (0, False), done.stderr
 
 
-@pytest.mark.parametrize(
-    ("words", "library"),
-    [
-        ("score OFFICE --estimate /odom", "scipy"),
-        ("simulate out.mcap", "scipy"),
-        ("learn OFFICE", "scipy"),
-        ("map OFFICE --method laser", "scipy"),
-        ("preview OFFICE -o fan.png", "matplotlib"),
-    ],
-)
-def test_what_needs_an_extra_names_it(words, library, tmp_path):
-    done = typed(words, tmp_path)
-    assert done.returncode in (1, 2)
-    assert len(done.stderr.splitlines()) == 1
-    if done.returncode == 1:
-        assert f"{library} is not installed; " in done.stderr
-        assert 'pip install ".[study]"' in done.stderr
-
-
 def test_python_names_it_too(tmp_path):
     code = """
 import sys

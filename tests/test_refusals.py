@@ -134,6 +134,9 @@ def test_a_pipe_is_refused_where_none_can_be_and_so_is_a_terminal(words, here, c
         ("matplotlib", f"sample {OFFICE} -o out.png", "pictures need it"),
         ("matplotlib", "density -o out.png", "pictures need it"),
         ("matplotlib", f"map {OFFICE} -o out.png", "pictures need it"),
+        ("matplotlib", f"preview {OFFICE} -o fan.png", "pictures need it"),
+        ("scipy", "score . --estimate /odom", "the study needs it"),
+        ("scipy", "simulate out.mcap", "the study needs it"),
         ("scipy", f"fit {OFFICE}", "the study needs it"),
         ("scipy", f"learn {OFFICE}", "the study needs it"),
         ("scipy", f"map {OFFICE} --method laser", "the study needs it"),
@@ -144,7 +147,7 @@ def test_a_library_that_is_missing_is_named_with_what_to_install(library, words,
 
     def without(name, *args, **named):
         if name.partition(".")[0] == library:
-            raise ImportError(name)
+            raise ModuleNotFoundError(name, name=library)
         return real(name, *args, **named)
 
     monkeypatch.setattr(builtins, "__import__", without)

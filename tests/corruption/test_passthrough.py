@@ -59,19 +59,3 @@ def test_a_container_option_is_heeded(bag, tmp_path):
     assert (tmp_path / "out.mcap").read_bytes() != content
     piped = run("-", "-", "--odom", "/odom", "--compression", "none", stdin=content)
     assert piped.stdout == (tmp_path / "out.mcap").read_bytes()
-
-
-def test_a_cut_pipe_is_an_error_and_leaves_no_file(bag, tmp_path):
-    done = run("-", tmp_path / "out.mcap", "--odom", "/odom", stdin=bag.read_bytes()[:-5000])
-    assert done.returncode == 1
-    assert b"truncated" in done.stderr
-    assert not (tmp_path / "out.mcap").exists()
-
-
-def test_a_level_of_an_uncompressed_bag_is_refused_and_nothing_is_left(tmp_path):
-    plain, out = tmp_path / "plain.mcap", tmp_path / "out.mcap"
-    assert run(FIXTURES / "office.mcap", plain, "--compression", "none").returncode == 0
-    refused = run(plain, out, "--level", "3")
-    assert refused.returncode == 1
-    assert b"level 3: without compression there is none" in refused.stderr
-    assert not out.exists()

@@ -3,11 +3,10 @@
 import random
 
 import pytest
-from crash import batches, rewrites
+from crash import rewrites
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", [rewrites, batches])
-def test_killed_at_any_moment_nothing_half_stands_under_a_name(part, tmp_path):
-    said = part(tmp_path, 8, random.Random(2))  # noqa: S311 - moments, no secrets
+def test_killed_at_any_moment_nothing_half_stands_under_a_name(tmp_path):
+    said = rewrites(tmp_path, 8, random.Random(2))  # noqa: S311 - moments, no secrets
     assert said.startswith("8 ")

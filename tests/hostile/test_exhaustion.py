@@ -35,7 +35,7 @@ def test_a_batch_with_few_descriptors_ends_and_says_why(most, tmp_path):
         assert said == ""
 
 
-@pytest.mark.parametrize("how", ["pipe recovered", "pipe learned", "cut database", "db3", "directory"])
+@pytest.mark.parametrize("how", ["pipe recovered", "pipe learned", "cut database"])
 def test_a_disk_that_is_full_is_named_as_such(how, tmp_path):
     cut = tmp_path / "cut.db3"
     shutil.copyfile(FIXTURES / "office_ros2" / "office_ros2.db3", cut)
@@ -45,8 +45,6 @@ def test_a_disk_that_is_full_is_named_as_such(how, tmp_path):
         "pipe recovered": ["-", tmp_path / "out.mcap", "--odom", "/odom", "--recover"],
         "pipe learned": ["learn", "-"],
         "cut database": ["info", cut, "--recover"],
-        "db3": [OFFICE, tmp_path / "out.db3"],
-        "directory": [OFFICE, tmp_path / "out", "--storage", "sqlite3"],
     }[how]
     with OFFICE.open("rb") as stdin:
         code, said = call(*words, limit=resource.RLIMIT_FSIZE, most=100_000, stdin=stdin)
