@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from bagged import rows_of
 
+from evo_oracle import as_evo, evo_metrics
 from odomcorrupt.api.corruption import correct
 from odomcorrupt.cli import run
 from odomcorrupt.errors import EffectError
@@ -291,18 +292,9 @@ def recorded(path, seed, cause, route):
     return path
 
 
-def as_evo(xyt):
-    trajectory = pytest.importorskip("evo.core.trajectory", reason="evo is not installed; it is the oracle here")
-    half, none = xyt[:, 2] / 2.0, np.zeros(len(xyt))
-    return trajectory.PosePath3D(
-        positions_xyz=np.column_stack((xyt[:, :2], none)),
-        orientations_quat_wxyz=np.column_stack((np.cos(half), none, none, np.sin(half))),
-    )
-
-
 def evo_errors(bag):
     """Return evo's APE (m), and its RPE over 5 m (m, degrees), of /odom against the truth at its stamps."""
-    metrics = pytest.importorskip("evo.core.metrics", reason="evo is not installed; it is the oracle here")
+    metrics = evo_metrics()
     from evo.core.units import Unit
 
     odometry, truth = rows_of(bag, "/odom"), rows_of(bag, "/ground_truth")
@@ -328,7 +320,7 @@ def evo_errors(bag):
 @pytest.mark.slow
 @pytest.mark.parametrize("cause", ["unequal_wheels", "wheelbase", ("side_slip", "unequal_wheels"), "slope"])
 def test_the_error_falls_on_a_drive_that_was_not_fitted(tmp_path, cause):
-    pytest.importorskip("evo", reason="evo is not installed; it is the oracle here")
+    evo_metrics()
     fitted = recorded(tmp_path / "fitted.mcap", 1, cause, "office")
     other = recorded(tmp_path / "other.mcap", 2, cause, "loops")
     model, corrected = tmp_path / "robot.toml", tmp_path / "corrected.mcap"

@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import chi2, norm
 from wandering import PLANTED, RATE_HZ, drive, noisy_path, recording, wander
 
+from evo_oracle import as_evo, evo_metrics
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.se2 import Increments, accumulate, compose
 from odomcorrupt.geometry.trajectory import Trajectory
@@ -331,18 +332,9 @@ def pair(request):
     return truth[::10], noisy[::10]
 
 
-def as_evo(xyt):
-    trajectory = pytest.importorskip("evo.core.trajectory", reason="evo is not installed; it is the oracle here")
-    half = xyt[:, 2] / 2.0
-    quaternion = np.column_stack((np.cos(half), np.zeros((len(xyt), 2)), np.sin(half)))
-    return trajectory.PosePath3D(
-        positions_xyz=np.column_stack((xyt[:, :2], np.zeros(len(xyt)))), orientations_quat_wxyz=quaternion
-    )
-
-
 @pytest.mark.parametrize("rigidly", [True, False])
 def test_ate_is_evos(pair, rigidly):
-    metrics = pytest.importorskip("evo.core.metrics", reason="evo is not installed; it is the oracle here")
+    metrics = evo_metrics()
     truth, odometry = pair
     reference, estimate = as_evo(truth), as_evo(odometry)
     if rigidly:
@@ -357,7 +349,7 @@ def test_ate_is_evos(pair, rigidly):
 
 @pytest.mark.parametrize("delta_m", [0.5, 1.0, 5.0])
 def test_rpe_is_evos(pair, delta_m):
-    metrics = pytest.importorskip("evo.core.metrics", reason="evo is not installed; it is the oracle here")
+    metrics = evo_metrics()
     from evo.core.units import Unit
 
     truth, odometry = pair

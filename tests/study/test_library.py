@@ -35,8 +35,8 @@ from odomcorrupt.study.select.dictionary import Dictionary, families
 from odomcorrupt.study.select.selection import learn
 from odomcorrupt.testing import contract_drive
 
-SEEDS = (*range(100, 109), 113)
-"""These draw every cause but unequal wheels, which test_library.py has."""
+SEEDS = (100, 101, 102, 103, 107, 108, 113)
+"""These draw every cause once, but for unequal wheels, which are among the systematic ones below."""
 CAUSES = (
     "gyro_bias", "lever_arm", "mount_yaw", "side_slip", "time_offset", "unequal_wheels", "wheel_scale", "wheelbase",
 )  # fmt: skip
@@ -63,8 +63,8 @@ def test_the_right_effect_is_first_and_the_held_out_error_falls_to_its_floor():
         floor = as_recording(simulate_without(seed + 1000, cause, **options))
         after = ten_second_error([judged], learned.fit.effects, learned.fit.problem.clocks[0])
         ratios.append(after / ten_second_error([floor]))
-    assert np.mean(right) >= 0.95
-    assert np.mean(np.array(ratios) <= 1.1) >= 0.9, sorted(ratios)
+    assert all(right)
+    assert max(ratios) <= 1.1, ratios
     assert np.median(ratios) <= 1.02
 
 

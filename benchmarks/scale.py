@@ -1,9 +1,7 @@
-"""How far it goes: `python tests/hostile/scale.py`, a table of memory, time and whether what comes out is right.
+"""How far it goes: `python benchmarks/scale.py`, a table of memory, time and whether what comes out is right.
 
 Wants 25 GB of disk for a bag of 10 GB and its output (`--gigabytes` for less); the pipe is `benchmarks/pipe.py`.
 """
-
-# ruff: noqa: T201 - a script that prints, and runs what it is for
 
 import argparse
 import shlex
@@ -18,7 +16,7 @@ import numpy as np
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "hostile"))
 
 from longbags import LONG, ODOMETRY, START_NS, STEP_NS, Template
 from smallbags import Office, definition
