@@ -146,8 +146,8 @@ def _relation(motion: Array, own_s: Array, values: Array, rates: tuple[bool, ...
     for rate in rates:  # those that it may be
         steps = np.diff(np.interp(grid, own_s, totals[rate]))
         found = np.linalg.lstsq(design, steps)[0]
-        rest = np.linalg.norm(steps - design @ found)
-        share = float(rest / (np.linalg.norm(steps - steps.mean()) + 1e-6 * np.abs(steps).max() + 1e-12)) ** 2
+        rest = np.linalg.norm(steps - design @ found) + 1e-6 * np.abs(steps).max() + 1e-12  # and rounding
+        share = float(rest / max(np.linalg.norm(steps - steps.mean()), rest)) ** 2
         per, error = (found / norms)[:-1], (rest * spread / norms)[:-1]
         if share < best_rest and error.max() < _MOST * np.linalg.norm(per):
             whole = np.zeros(3)

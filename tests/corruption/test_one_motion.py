@@ -408,8 +408,7 @@ def inconsistencies(kind: Kind, before, after, start_rad: float):
         beyond = np.maximum(np.abs(e) - (shorter[moving, None] if name == "twist" else 0.0), 0.0)
         ratio = np.square(beyond) / np.diagonal(C, axis1=1, axis2=2)
         claim(ratio.max() < 36.0, f"{name} variances are those of the noise: {np.sqrt(ratio.max()):.2g} sigma")
-        upright = kind.attitude in ("level", "leaning", "ramp")
-        claim((C[:, 2, 2] > 1e3).all() or not upright, f"{name}: unknown stays unknown")
+        claim((C[:, 2, 2] > 1e3).all() or kind.attitude not in ("level", "leaning", "ramp"), f"{name}: unknown")
         if kind.attitude == "level":
             rest = np.ones((6, 6), dtype=bool)
             rest[np.ix_([0, 1, 5], [0, 1, 5])] = False
@@ -474,7 +473,8 @@ def by_imu(at, d: Drive, start):
         yield name, np.column_stack((np.zeros((len(dt), 2)), yaw))
 
 
-@pytest.mark.parametrize("kind", kinds(10), ids=lambda kind: str(kind.number))
+# of the last one, the rounding of a scanner's constant rate resembles the motion
+@pytest.mark.parametrize("kind", [*kinds(10), *kinds(157, 92)[-1:]], ids=lambda kind: str(kind.number))
 def test_every_topic_states_the_same_noisy_motion(kind, tmp_path):
     assert violations(kind, tmp_path) == []
 
