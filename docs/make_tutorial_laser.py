@@ -41,8 +41,7 @@ def main() -> None:
         ["learn", at["run.mcap"], "--scan", "/scan", "--validate", at["other.mcap"], "-o", at["robot.toml"],
          "--plot", at["falls.png"], "--overwrite"],
         ["learn", at["run.mcap"], "--scan", "/scan", "--validate", at["other.mcap"], "-v"],
-        ["map", at["run.mcap"], "--scan", "/scan", "--method", "laser", "--seed", "7", "-o", at["map.yaml"],
-         "--overwrite"],
+        ["map", at["run.mcap"], "--scan", "/scan", "--method", "laser", "-o", at["map.yaml"], "--overwrite"],
         ["correct", at["other.mcap"], at["corrected.mcap"], "--model", at["robot.toml"], "--overwrite"],
         ["export", at["robot.toml"], "--to", "nav2"],
     ):  # fmt: skip

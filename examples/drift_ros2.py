@@ -6,11 +6,12 @@ Point controller and localisation at /odom_drifted. The simulator must not publi
 odom -> base_link itself if tf is true.
 """
 
+import contextlib
+
 import rclpy
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from tf2_ros import TransformBroadcaster
 
 import odomcorrupt as oc
 
@@ -23,7 +24,11 @@ class DriftNode(Node):
         asked = {name: self.declare_parameter(name, value).value
                  for name, value in (("model", "typical"), ("seed", 0), ("tf", False))}  # fmt: skip
         self.drift = oc.Drift(asked["model"], asked["seed"])
-        self.tf = TransformBroadcaster(self) if asked["tf"] else None
+        self.tf = None
+        if asked["tf"]:
+            from tf2_ros import TransformBroadcaster  # noqa: PLC0415 - not part of rclpy
+
+            self.tf = TransformBroadcaster(self)
         self.publisher = self.create_publisher(Odometry, "/odom_drifted", 10)
         self.create_subscription(Odometry, "/odom", self.on_odometry, 10)
 
@@ -43,4 +48,5 @@ class DriftNode(Node):
 
 if __name__ == "__main__":
     rclpy.init()
-    rclpy.spin(DriftNode())
+    with contextlib.suppress(KeyboardInterrupt):
+        rclpy.spin(DriftNode())

@@ -10,6 +10,7 @@ _ARGUMENTS = {
     "--start": "start_xyt", "--sweep": "sweeps", "--to-step": "step", "--wheel-radius": "wheel_radius_m",
     "--truth-shift": "truth_shift_s", "--max-unpacked ": "ODOMCORRUPT_MAX_UNPACKED=", "--track": "track_m",
     "with --tf odometry": "without new_odom_frame", "--tf correction": "new_odom_frame", "--wheelbase": "wheelbase_m",
+    **{word: word for word in COMMAND_LINE_ONLY},
 }  # fmt: skip
 """Arguments in Python that are not called like the option."""
 _OPTION = re.compile(
@@ -33,13 +34,9 @@ class OdomCorruptError(Exception):
         return str(self.args[0]) if self.args else ""
 
     def __str__(self) -> str:
-        return self.message if OdomCorruptError.names_options else _OPTION.sub(_argument, self.message)
-
-
-def _argument(option: re.Match[str]) -> str:
-    """Return the argument in Python that an option of the command line corresponds to."""
-    word = option[0]
-    return word if word in COMMAND_LINE_ONLY else _ARGUMENTS.get(word, word.removeprefix("--").replace("-", "_"))
+        if OdomCorruptError.names_options:
+            return self.message
+        return _OPTION.sub(lambda one: _ARGUMENTS.get(one[0], one[0][2:].replace("-", "_")), self.message)
 
 
 class BagError(OdomCorruptError, OSError):

@@ -58,7 +58,7 @@ class Summary(NamedTuple):
     most: int = MOST_LINES
 
     def text(self, width: int = WIDTH) -> str:
-        """Return the summary within a width and at most `most` lines; a line notes any findings left out."""
+        """Return the summary within a width and `most` lines, or one more; a line counts the findings left out."""
         return "\n".join(part for part in self.parts(width) if part)
 
     def parts(self, width: int = WIDTH, *, colour: bool = False) -> tuple[str, str]:
@@ -78,6 +78,12 @@ class Summary(NamedTuple):
                     label = f"{_COLOURS[line.tone]}{label}{_RESET}"
                 rows.append(f"{label}{part}".rstrip())
         return "\n".join(findings), "\n".join(commands)
+
+    def below(self, report: str) -> Summary:
+        """Return what ends a full report: the verdict, what has to be said first and is not in it, the next command."""
+        first, *others = self.lines if self.lines[0].tone != "plain" else [Line("", "")]  # a list has no verdict
+        kept = [one for one in others if one.tone == "command" or (one.weight >= FIRST and one.text not in report)]
+        return Summary((first, *kept), len(report))
 
     def html(self) -> str:
         """Return the summary as a table for a notebook."""
@@ -123,36 +129,38 @@ _Block = tuple[Line, list[str]]
 
 
 def _within(lines: Sequence[Line], width: int, most: int) -> list[_Block]:
-    """Return the lines that fit into a number of rows, folded: the first line, the command, others by their weight."""
+    """Return the lines that fit into a number of rows, folded: the first line, the command, others by their weight.
+
+    All of them have one row more, which is better than a mention of one line.
+    """
     blocks = [(line, _folded(line.tone, visible(line.text), width)) for line in lines]
-    if sum(len(parts) for _, parts in blocks) <= most:
+    if _rows(blocks) <= most:
         return blocks
     commands = [block for block in blocks if block[0].tone == "command"]
     others = [block for block in blocks if block[0].tone != "command"]
-    room = most - sum(len(parts) for _, parts in commands)
     shorter = [(line, _folded(line.tone, visible(line.short or line.text), width)) for line, _ in others]
-    first = sum(len(parts) for i, (line, parts) in enumerate(shorter) if not i or line.weight >= FIRST) + 1
-    room = max(room, min(first, most - _COMMAND_LINES))
+    first = _rows([one for i, one in enumerate(shorter) if not i or one[0].weight >= FIRST]) + 1
+    room = max(most - _rows(commands), min(first, most - _COMMAND_LINES))
+    if _rows(shorter) <= room + 1:
+        return [*shorter, *commands]
     most_kept: list[_Block] = []
     for rows in range(1, room + 1):
         # a text is only shortened where the rows do not suffice, or another line that is not spare gets a place
         choices = [_heaviest(blocks, room - rows) for blocks in (others, shorter)]
-        kept = max(choices, key=lambda kept: _worth(kept, room - rows))
+        kept = max(choices, key=lambda kept: (_rows(kept) <= room - rows, sum(line.weight > SPARE for line, _ in kept)))
         most_kept = most_kept or kept
-        if len(kept) == len(others):
-            return [*kept, *commands]
         # names never take the place of what has to be said first
         if sum(line.weight >= FIRST for line, _ in kept) < sum(line.weight >= FIRST for line, _ in most_kept):
             break
-        left = [block for block in shorter if all(block[0] is not line for line, _ in kept)]
-        if len(left) == 1 and len(left[0][1]) <= rows:  # a line takes no more room than its mention
-            every = [next((one for one in kept if one[0] is line), (line, parts)) for line, parts in shorter]
-            return [*every, *commands]
         more = _folded("plain", visible(_rest(others, kept)), width)
         if len(more) <= rows:
             return [*kept, (Line("", " ".join(more)), more), *commands]
     more = _folded("plain", _rest(others, most_kept, named=False), width)
     return [*most_kept, (Line("", " ".join(more)), more), *commands]
+
+
+def _rows(blocks: Sequence[_Block]) -> int:
+    return sum(len(parts) for _, parts in blocks)
 
 
 def _rest(blocks: Sequence[_Block], kept: Sequence[_Block], *, named: bool = True) -> str:
@@ -167,11 +175,6 @@ def _rest(blocks: Sequence[_Block], kept: Sequence[_Block], *, named: bool = Tru
         more += f", {len(parts)} of them with parts of the model"
     more += ": -v shows all"
     return f"also {', '.join(parts)}; {more}" if parts and named else more
-
-
-def _worth(blocks: Sequence[_Block], room: int) -> tuple[bool, int]:
-    """Return whether blocks fit into this number of rows, and the number of those that are not spare."""
-    return sum(len(parts) for _, parts in blocks) <= room, sum(line.weight > SPARE for line, _ in blocks)
 
 
 def _heaviest(blocks: Sequence[_Block], room: int) -> list[_Block]:

@@ -54,7 +54,7 @@ class Maps(Result):
     source : the bag
     model, seed, run : model of the noisy odometry, seed of its draws, number of its run
     maps : through clean and noisy odometry, and through the truth if there is one; by the laser: along its trajectory,
-        the odometry, and noisy odometry
+        the odometry, and noisy odometry if a model was given
     notes : what was read and left out, in sentences
     matched : trajectory of the laser, and the sweeps placed along it; None if odometry placed them
     """
@@ -184,7 +184,7 @@ def require_method(
 
 def draw_maps(
     bag: str | PathLike[str],
-    model: ModelLike = "typical",
+    model: ModelLike | None = None,
     *,
     method: Method = "odometry",
     seed: int | None = None,
@@ -200,7 +200,7 @@ def draw_maps(
     """Draw the maps that a laser makes through a bag's odometry and through the same odometry with noise on it.
 
     bag : bag of any kind with odometry and laser scans; not a pipe
-    model : model, noise, model file or preset; noise and effects of the noisy odometry
+    model : noise and effects of the noisy odometry; by default `typical`, by the laser none: no map of such odometry
     method : "odometry" or "laser"; place scans by odometry, or by matching them, which corrects the odometry; needs the
         extra `study`
     seed : seed of all random draws; by default a random one, stated in the result
@@ -246,7 +246,7 @@ def draw_maps(
         if pose.shape != (3,) or not np.isfinite(pose).all():
             raise MapError(f"--laser-pose {laser_pose}: give x, y and heading of the laser on the robot")
         mount = mount_at(pose)
-    chosen = as_model(model)
+    chosen = as_model("typical" if model is None else model)
     drawn_seed = draw_seed() if seed is None else seed
 
     def error_of(odometry: Trajectory) -> Array:
@@ -255,7 +255,7 @@ def draw_maps(
 
     made: dict[str, Any] = {"source": str(path), "model": chosen, "seed": drawn_seed, "run": run}
     if method == "laser":
-        drawn = _laser_maps(path, odom_topic, scan, watch, error_of, resolution)
+        drawn = _laser_maps(path, odom_topic, scan, watch, None if model is None else error_of, resolution)
         return Maps(**made, maps=drawn.maps, notes=drawn.notes, matched=drawn)
     watch("drawing maps", 0.0)
     drive = read_drive(path, odom_topic)
@@ -276,11 +276,11 @@ def _laser_maps(
     odom_topic: str | None,
     scan: str | None,
     watch: Watch,
-    error_of: Callable[[Trajectory], Array],
+    error_of: Callable[[Trajectory], Array] | None,
     resolution: float,
 ) -> LaserMaps:
     from odomcorrupt.laser.mapping import laser_maps
     from odomcorrupt.study.io.laser_truth import laser_run
 
     matched = laser_run(path, str(path), odom_topic, scan, watch)
-    return laser_maps(matched, error_of(matched.odometry), resolution)
+    return laser_maps(matched, error_of and error_of(matched.odometry), resolution)

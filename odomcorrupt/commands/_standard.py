@@ -68,16 +68,13 @@ class Console(NamedTuple):
         if self.as_json:
             click.echo(json.dumps(finite(values), indent=2, allow_nan=False), err=err)
         elif not self.quiet:
-            verdict = ""
-            if not isinstance(brief, str):
-                # the full report ends as the summary does: with the verdict, which a list has not, and the next command
-                verdict = brief.headline if brief.lines[0].tone != "plain" else ""
-                brief, following = brief.parts(min(_WIDTH, columns or _WIDTH), colour=_colours(stream))
-                following = "" if self.verbose and not verdict else following
             if self.verbose:
-                brief = "\n".join([details, *([verdict] if verdict and verdict not in details else [])])
-                brief = brief if columns is None else wrapped(brief, columns)
-            click.echo(brief, err=err)
+                click.echo(details if columns is None else wrapped(details, columns), err=err)
+                brief = "" if isinstance(brief, str) else brief.below(details)
+            if not isinstance(brief, str):
+                brief, following = brief.parts(min(_WIDTH, columns or _WIDTH), colour=_colours(stream))
+            if brief:
+                click.echo(brief, err=err)
         for path, write in files.items():
             said = write()
             self.note(said if isinstance(said, str) else f"wrote {path}")

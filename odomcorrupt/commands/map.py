@@ -39,7 +39,8 @@ _ASKED = ("seed", "run", "scan", "odom_topic", "truth", "laser_pose", "max_yaw_r
 )
 @valued(
     "--method", among=["odometry", "laser"],
-    text="Place scans by odometry, or by matching them: then -o map.yaml also gets map.tum and map.png.",
+    text="Place scans by odometry, or by matching them: then -o map.yaml also gets map.tum and map.png, and noisy "
+    "odometry is drawn if noise, an effect or a model is given.",
 )  # fmt: skip
 @overwrite_option("existing outputs", passed=True)
 @unpack_option
@@ -59,7 +60,8 @@ def command(bag: Path, output: Path | None, *, console: Console, **given: Any) -
     with usage_errors(MapError):
         require_method(method, *(given[name] for name in ("truth", "laser_pose", "max_yaw_rate")))
     maps, picture = _files(output, method, overwrite=overwrite)
-    model = choose_model(given)
+    asked = method == "odometry" or any(given[name] for name in ("alpha", "twist_noise", "preset", "effects", "model"))
+    model = choose_model(given) if asked else None
     with Stages(quiet=console.quiet) as stages:
         result = draw_maps(bag, model, method=method, watch=stages, **{name: given[name] for name in _ASKED})
     if maps is None:

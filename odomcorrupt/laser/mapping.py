@@ -1,4 +1,4 @@
-"""Occupancy maps of one drive's scans placed along the laser's trajectory, the odometry, and noisy odometry."""
+"""Occupancy maps of a drive: scans along the laser's trajectory, the odometry, and noisy odometry if asked."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class LaserMaps:
     """Maps of one drive.
 
     trajectory : the robot's by the laser, on the odometry's clock, in the map's frame
-    maps : maps along that trajectory, along the odometry, and along the odometry with noise
+    maps : maps along that trajectory, along the odometry, and along the odometry with noise, if there is any
     placed : number of sweeps in the map, in a sentence
     parts : parts of the drive that the map does not cover, in a sentence; "" if none
     remarks : findings about the scans and the mounting of the laser, in sentences
@@ -59,11 +59,11 @@ def largest_part(run: LaserRun) -> tuple[LaserRun, str]:
     )
 
 
-def laser_maps(whole: LaserRun, error_xyt: Array, resolution_m: float) -> LaserMaps:
+def laser_maps(whole: LaserRun, error_xyt: Array | None, resolution_m: float) -> LaserMaps:
     """Return the maps along the laser's trajectory, the odometry and the noisy odometry.
 
     whole : run, of which the largest connected part is mapped
-    error_xyt : (n, 3) error that noise adds to each pose of the odometry
+    error_xyt : (n, 3) error that noise adds to each pose of the odometry; None for no noisy odometry
     """
     run, parts = largest_part(whole)
     motion, path = run.calibration.motion, run.path
@@ -73,7 +73,6 @@ def laser_maps(whole: LaserRun, error_xyt: Array, resolution_m: float) -> LaserM
     odometry = run.odometry
     start = np.clip(trajectory.seconds_since(int(odometry.stamps_ns[0]))[:1], 0.0, None)
     begin = odometry.at(start, int(odometry.stamps_ns[0]))[0]
-    noisy = Trajectory(odometry.stamps_ns, odometry.xyt + error_xyt)
     rays = _rays(run)
     inside = (rays.stamps_ns >= max(stamps[0], odometry.stamps_ns[0])) & (
         rays.stamps_ns <= min(stamps[-1], odometry.stamps_ns[-1])
@@ -82,8 +81,9 @@ def laser_maps(whole: LaserRun, error_xyt: Array, resolution_m: float) -> LaserM
     paths = {
         "corrected by the laser": replace(trajectory, xyt=compose(begin, between(trajectory.xyt[0], trajectory.xyt))),
         "odometry": odometry,
-        "noisy odometry": noisy,
     }
+    if error_xyt is not None:
+        paths["noisy odometry"] = Trajectory(odometry.stamps_ns, odometry.xyt + error_xyt)
     way = distance_along(odometry.xyt)
     travelled = np.interp(rays.stamps_ns.astype(np.float64), odometry.stamps_ns.astype(np.float64), way)
     maps = scan_maps(rays, travelled, paths, resolution_m)

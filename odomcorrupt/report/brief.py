@@ -189,8 +189,8 @@ def _written_lines(search: Learned, written: MotionModel | None) -> list[Line]:
 def _rejected_lines(last: ModelEvaluation) -> list[Line]:
     """Return that the last model is still rejected, and by how much."""
     misfit = last.verdict.misfit
-    why = "the model's noise is too large" if misfit < 1.0 else "the model is still rejected"
-    said = f"{why}: errors are {plainly(misfit)} times the predicted ones"
+    why = "the noise is too large: " if misfit < 1.0 else ""
+    said = f"{why}errors are {plainly(misfit)} times the predicted ones"
     return [Line("rejected", said, "warning", FIRST)] if last.verdict.fails else []
 
 

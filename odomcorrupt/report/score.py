@@ -102,7 +102,7 @@ def score_brief(report: ScoreReport, verdicts: Sequence[Verdict]) -> Summary:
         first, *rest = _aligned([POINT_HEADS, *point_rows(report)])
         lines += [Line("points", first, weight=ALWAYS), *(Line("", row, weight=ALWAYS) for row in rest)]
         most += len(rest) + 1
-    for name, label in (("ate_m", "ATE"), ("rpe_m", "RPE")):
+    for name, label in (("ate_m", "ATE"), ("rpe_m", "RPE")) if len(report.points) < 2 else ():
         s = report.summary(name)
         if s.n:
             values = (quantity(name, value) for value in (s.median.value, s.p90.value, s.max))

@@ -453,7 +453,7 @@ def _notes(runs: Sequence[RunScore], truths: set[str], align: Alignment) -> list
     if align in ("none", "same"):
         notes.append("not aligned: estimate and truth are taken to be in one frame")
     if any(name.endswith("clean.tum") for name in truths):
-        notes.append("truth: the odometry before it was corrupted; name a topic with --truth if that is not a truth")
+        notes.append("truth: the odometry before it was corrupted; --truth names another")
     said = [note for run in runs for note in run.notes]
     for note in dict.fromkeys(said):
         count = said.count(note)

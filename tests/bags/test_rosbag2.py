@@ -231,11 +231,8 @@ def test_all_versions_of_the_tables_are_read(tmp_path):
     shutil.copy(OFFICE_DB, old)
     with closing(sqlite3.connect(old, isolation_level=None)) as connection:
         for statement in (
-            "DROP TABLE schema",
-            "DROP TABLE metadata",
-            "DROP TABLE message_definitions",
-            "ALTER TABLE topics DROP COLUMN type_description_hash",
-            "ALTER TABLE topics DROP COLUMN offered_qos_profiles",
+            *(f"DROP TABLE {name}" for name in ("schema", "metadata", "message_definitions")),
+            *(f"ALTER TABLE topics DROP COLUMN {name}" for name in ("type_description_hash", "offered_qos_profiles")),
         ):
             connection.execute(statement)
     out = copy(old, tmp_path / "out.db3", shift)

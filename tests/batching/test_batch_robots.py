@@ -67,12 +67,7 @@ name = "wheel_scale"
 e = { value = 0.02, standard_error = 0.001 }
 [fit.correlation]
 parameters = ["wheelbase.e", "wheel_scale.e", "rot_trans", "trans_trans"]
-matrix = [
-  [1.0, -0.9, 0.0, 0.0],
-  [-0.9, 1.0, 0.0, 0.0],
-  [0.0, 0.0, 1.0, 0.6],
-  [0.0, 0.0, 0.6, 1.0],
-]
+matrix = [[1.0, -0.9, 0.0, 0.0], [-0.9, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.6], [0.0, 0.0, 0.6, 1.0]]
 """
 
 

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 from pathlib import Path
 
 import click
@@ -45,8 +46,7 @@ def test_a_verdict_everything_nothing_or_values(tmp_path, capsys):
     assert "computed from the poses of /odom" in said("-v")
     assert said("-q") == ""
     # the full report ends as the summary does
-    assert said("-v").splitlines()[-3].startswith(("MOVED 2", "MOVED 1", "MOVED 0", "next"))
-    assert "next      odomcorrupt info" in said("-v")
+    assert re.search(r"\nMOVED  .*\nnext   odomcorrupt info .*\Z", said("-v"), re.DOTALL)
     assert said("--json") == ""
     assert run([OFFICE, str(tmp_path / "a.mcap"), "-q", "-v"]) == 2
 

@@ -1,13 +1,17 @@
 """The drift of a live robot: the numbers of a corrupted bag, one message at a time, and the nodes of the examples."""
 
+import importlib
 import runpy
 import sys
+import time
+from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace as Names
 
 import numpy as np
 import pytest
 from bagged import rows_of
+from mcap.reader import make_reader
 
 import odomcorrupt as oc
 
@@ -126,3 +130,27 @@ def test_the_nodes_of_the_examples_publish_what_steps_return(monkeypatch):
             edge = edge[0] if isinstance(edge, list) else edge
             assert (edge.transform.translation.x, edge.transform.translation.z) == (got.pose.pose.position.x, 0.2)
     assert abs(expected.pose_xyt[1]) > 1e-4
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of packages of ROS
+def test_the_node_under_rclpy_publishes_the_drift_of_a_corrupted_bag(tmp_path, monkeypatch):
+    rclpy = pytest.importorskip("rclpy", exc_type=ImportError)
+    kind, read = (importlib.import_module(name) for name in ("nav_msgs.msg", "rclpy.serialization"))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with OFFICE.open("rb") as file:
+        rows = islice(make_reader(file).iter_messages("/odom"), 200)
+        sent = [read.deserialize_message(one.data, kind.Odometry) for *_, one in rows]
+    rclpy.init(args=["--ros-args", "-p", "seed:=7"])
+    nodes = runpy.run_path(str(ROOT / "examples" / "drift_ros2.py"))["DriftNode"](), rclpy.create_node("probe")
+    got, publisher = [], nodes[1].create_publisher(kind.Odometry, "/odom", 10)
+    nodes[1].create_subscription(kind.Odometry, "/odom_drifted", got.append, 10)
+    until = time.monotonic() + 30.0
+    while len(got) < len(sent) and time.monotonic() < until:
+        if nodes[0].publisher.get_subscription_count() and publisher.get_subscription_count():
+            publisher.publish(sent[len(got)])
+        for node in nodes:
+            rclpy.spin_once(node, timeout_sec=1.0 if node is nodes[1] else 0.1)
+    rclpy.shutdown()
+    oc.corrupt(OFFICE, tmp_path / "noisy.mcap", model="typical", seed=7)
+    found = [(one.pose.pose.position.x, one.pose.pose.position.y) for one in got]
+    np.testing.assert_allclose(found, rows_of(tmp_path / "noisy.mcap").position[:200, :2], atol=1e-12)

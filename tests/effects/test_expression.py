@@ -48,18 +48,14 @@ def test_an_expression_means_what_it_says(text, column, expected):
 @pytest.mark.parametrize(
     ("text", "unit"),
     [
-        ("yaw += k * v", "rad/m"),
-        ("yaw += omega * (k * cos(theta))", ""),
+        ("yaw += k * v", "rad/m"), ("yaw += omega * (k * cos(theta))", ""),
         ("yaw += omega * (0.1 - k * alpha * sign(omega))", "s^2/rad"),
         ("wheels += v * (k * max(-a * sign(v) - 0.2, 0))", "s^2/m"),
-        ("along += -k * where(a > 0, v ** 2, 0) / 3", "s/m"),
-        ("left += v * k * hypot(x - 1, 2)", "1/m"),
-        ("yaw += where(t > 5, k * exp(-t / 80), 0)", "rad/s"),
-        ("across += k; yaw += k * v", "m/s"),
-        ("yaw += k * sqrt(v)", ""),
-        ("yaw += 2 ** 2 / (3 * 1) * (k - 1) * (v ** 1.5)", ""),
+        ("along += -k * where(a > 0, v ** 2, 0) / 3", "s/m"), ("left += v * k * hypot(x - 1, 2)", "1/m"),
+        ("yaw += where(t > 5, k * exp(-t / 80), 0)", "rad/s"), ("across += k; yaw += k * v", "m/s"),
+        ("yaw += k * sqrt(v)", ""), ("yaw += 2 ** 2 / (3 * 1) * (k - 1) * (v ** 1.5)", ""),
     ],
-)
+)  # fmt: skip
 def test_an_amplitude_has_the_unit_of_what_stands_beside_it(text, unit):
     assert [p.unit for p in parameters(user_effect("mine", text, {"k": 0.3}))] == [unit]
     assert [p.unit for p in parameters(user_effect("mine", text, {"k": 0.3}, {"k": "furlong"}))] == ["furlong"]
@@ -121,16 +117,12 @@ def test_statements_add_up():
 @pytest.mark.parametrize(
     ("text", "linear", "vanishes"),
     [
-        ("yaw += k * v * sin(w * distance)", {"k"}, True),
-        ("yaw += k * w * v", {"k"}, True),
-        ("yaw += k * v + w * omega; along += -w * v", {"k", "w"}, True),
-        ("yaw += (k + w) * v / 2", {"k", "w"}, True),
-        ("yaw += v / k + w * v", {"w"}, False),
-        ("yaw += k * v + 0.1 * abs(v) * w ** 2", {"k"}, False),
-        ("yaw += where(v > w, k * v, 0 * k)", {"k"}, True),
-        ("yaw += where(v > w, k * v, 1)", {"k"}, False),
+        ("yaw += k * v * sin(w * distance)", {"k"}, True), ("yaw += k * w * v", {"k"}, True),
+        ("yaw += k * v + w * omega; along += -w * v", {"k", "w"}, True), ("yaw += (k + w) * v / 2", {"k", "w"}, True),
+        ("yaw += v / k + w * v", {"w"}, False), ("yaw += k * v + 0.1 * abs(v) * w ** 2", {"k"}, False),
+        ("yaw += where(v > w, k * v, 0 * k)", {"k"}, True), ("yaw += where(v > w, k * v, 1)", {"k"}, False),
     ],
-)
+)  # fmt: skip
 def test_parameters_that_a_linear_fit_may_move_are_distinguished_from_shapes(text, linear, vanishes):
     names = tuple(n for n in ("k", "w") if n in text.replace("where", ""))
     parsed = parse_expression(text, names)

@@ -199,7 +199,7 @@ def test_maps_by_the_laser_are_those_of_the_command_line(tmp_path, capsys):
     for file in (*files, tmp_path / "a.png"):
         own = file.read_bytes().replace(b"image: a", b"image: b")
         assert own == (tmp_path / f"b{file.suffix}").read_bytes()
-    assert done.method == "laser"
+    assert [done.method, *(one.name for one in done.maps)] == ["laser", "corrected by the laser", "odometry"]
     assert len(done.trajectory) == len((tmp_path / "a.tum").read_text().splitlines())
     assert done.summary().headline == f"MATCHED {done.matched.placed}"
 

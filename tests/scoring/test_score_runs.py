@@ -232,7 +232,7 @@ def test_the_first_word_is_the_gates_result_and_the_exit_code(batch, estimates, 
         lines = [line for line in capsys.readouterr().out.splitlines() if not line.startswith("wrote ")]
         assert lines[0].startswith(label)
         assert "1 of 10 runs failed (1 missing)" in lines[0]
-        assert len(lines) <= {"SCORED": 8, "PASSED": 10, "FAILED": 20}[label]
+        assert len(lines) <= {"SCORED": 9, "PASSED": 11, "FAILED": 21}[label]
         following = next(i for i, line in enumerate(lines) if line.startswith("next"))
         said = " ".join(line[8:].removesuffix("\\").strip() for line in lines[following:])
         assert said == shlex.join(["odomcorrupt", *words, *gate, "--report", "page.html"])

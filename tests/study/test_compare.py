@@ -249,14 +249,10 @@ def test_a_drift_is_reported_with_what_was_measured_and_what_is_expected():
 @pytest.mark.parametrize(
     ("channel", "value", "text"),
     [
-        ("yaw", np.radians(3.14159), "3.1 deg"),
-        ("yaw", np.radians(0.052), "0.052 deg"),
-        ("along", 0.0123, "12 mm"),
-        ("across", 2.444, "2.44 m"),
-        ("along", 0.9999, "1000 mm"),
-        ("yaw", np.radians(36.2), "36 deg"),
+        ("yaw", np.radians(3.14159), "3.1 deg"), ("yaw", np.radians(0.052), "0.052 deg"), ("along", 0.0123, "12 mm"),
+        ("across", 2.444, "2.44 m"), ("along", 0.9999, "1000 mm"), ("yaw", np.radians(36.2), "36 deg"),
     ],
-)
+)  # fmt: skip
 def test_sizes_are_written_as_people_write_them(channel, value, text):
     assert size(channel, value) == text
 
@@ -446,13 +442,9 @@ def test_a_model_that_states_none_estimates_it_without_the_slips():
 
 
 def scored(name, error, nats, ate, gain=0.0, gain_error=0.1):
-    return SimpleNamespace(
-        name=name,
-        judged_on="recordings",
-        ten_second_error_m=error,
-        nats=SimpleNamespace(per_m=nats, gain_per_m=gain, gain_error=gain_error),
-        trajectory=SimpleNamespace(ate_m=ate),
-    )
+    measured = {"nats": SimpleNamespace(per_m=nats, gain_per_m=gain, gain_error=gain_error)}
+    measured["trajectory"] = SimpleNamespace(ate_m=ate)
+    return SimpleNamespace(name=name, judged_on="recordings", ten_second_error_m=error, **measured)
 
 
 def compared(error, gain, ate):
@@ -464,14 +456,10 @@ def compared(error, gain, ate):
 @pytest.mark.parametrize(
     ("error", "gain", "ate", "verdict"),
     [
-        (0.060, 2.0, 0.006, "better"),
-        (0.060, 2.0, 0.0105, "better"),
-        (0.095, -24.0, 0.014, "mixed"),
-        (0.095, 1.0, 0.014, "mixed"),
-        (0.120, -1.0, 0.010, "worse"),
-        (0.101, 0.1, 0.0105, "same"),
+        (0.060, 2.0, 0.006, "better"), (0.060, 2.0, 0.0105, "better"), (0.095, -24.0, 0.014, "mixed"),
+        (0.095, 1.0, 0.014, "mixed"), (0.120, -1.0, 0.010, "worse"), (0.101, 0.1, 0.0105, "same"),
     ],
-)
+)  # fmt: skip
 def test_all_measures_count(error, gain, ate, verdict):
     assert agreement_of(compared(error, gain, ate)).verdict == verdict
 

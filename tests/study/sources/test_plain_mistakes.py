@@ -112,13 +112,11 @@ def test_a_mirrored_truth_is_one_of_two_and_a_gyro_decides(headed):
 @pytest.mark.parametrize(
     ("gains", "words"),
     [
-        ((-1.0, 1.0), "the left wheel counts the wrong way"),
-        ((1.0, -1.0), "the right wheel counts the wrong way"),
-        ((1.0, 0.0), "the right wheel counts nothing"),
-        ((0.55, 1.0), "radius of the left wheel wrong"),
+        ((-1.0, 1.0), "the left wheel counts the wrong way"), ((1.0, -1.0), "the right wheel counts the wrong way"),
+        ((1.0, 0.0), "the right wheel counts nothing"), ((0.55, 1.0), "radius of the left wheel wrong"),
         ((1.0, 2.4), "radius of the right wheel wrong"),
     ],
-)
+)  # fmt: skip
 def test_wheels_that_count_by_unequal_factors(gains, words, headed):
     rows = driven(3)
     pair = trajectory(rims(rows, lambda u: gains[0] * u, lambda u: gains[1] * u)), real(rows, headed=headed)
