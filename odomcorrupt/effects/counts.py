@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from odomcorrupt.effects.effect import (
     State,
     TwistError,
     choice,
+    gain,
     parameter,
     stacked,
 )
@@ -25,8 +26,8 @@ from odomcorrupt.effects.wheels import (
     Rims,
     body_of,
     driven_speeds,
-    error_of_each_wheel,
     needed_track_m,
+    of_each_wheel,
     on_every_track,
     rims_of,
     track_parameter,
@@ -210,6 +211,25 @@ class TruncatedVelocity(Effect):
         return Recorded(cut, (float(t_s[-1]), *phases) if len(t_s) else state)
 
 
+# a lost remainder is between nothing and a whole tick, whichever way the wheel turns
+TruncatedCounts = gain(
+    "truncated_counts",
+    "each reading of a wheel is truncated to whole ticks, and the remainder is lost",
+    lambda it, m: of_each_wheel(it, m, lambda u: it.step / 2.0 * u / np.hypot(u, _STILL)),
+    About(
+        equation="f_wheel = step sign(u) / 2 on average, step = travel of a tick times readings per second",
+        typical="one tick of 0.2 to 2 mm at 50 readings per second: 0.01 to 0.1 m/s (by arithmetic)",
+        source="rounding towards zero, as an integer division in C does (ISO/IEC 9899, 6.5.5)",
+        confused_with=("wheel_scale", "speed_scale", "truncated_velocity", "dead_band"),
+        drive="the same straight, and turns on the spot, very slowly and fast",
+    ),
+    odd=True,
+    scan=classmethod(lambda cls, motions: on_every_track((cls(),), motions)),
+    step=parameter("m/s", "rim speed of one tick per reading", low=0.0, high=0.5, typical=0.02),
+    track=track_parameter(),
+)
+
+
 def _mean_around(speed: Array, dt_s: Array) -> Array:
     """Return the mean (n,) of a speed in windows of `_NEAR_S` around the middle of each interval."""
     ends_s = np.concatenate(([0.0], np.cumsum(dt_s)))
@@ -228,8 +248,6 @@ _MOST_IN_A_ROW = 3
 _LONGEST_S = 0.25
 """Longest gap that counts as a loss, seconds; a longer rest may be a real stop."""
 _CAUGHT_UP = 1.35
-_FAST_SHARE = 0.125
-"""Least share of losses at speeds above the median: half is expected, and none of a driver that cuts off low speeds."""
 _FREQUENT = 0.005
 """Rate of single losses above which losses of several increments in a row are plausible."""
 _NEIGHBOURS = 2
@@ -349,11 +367,6 @@ class Losses(NamedTuple):
     of: int
     hidden: float
     fast: float
-
-    @property
-    def at_all_speeds(self) -> bool:
-        """Whether increments are also lost at high speed."""
-        return self.fast >= _FAST_SHARE
 
     @property
     def fraction(self) -> float:
@@ -496,46 +509,31 @@ _SPEEDS = (0.4, 0.6, 0.75, 0.88)
 """Trial values of the speed limit, as fractions of a drive's highest rim speed."""
 
 
-@dataclass(frozen=True, slots=True)
-class CountsLost(Effect):
-    """f of a wheel = part (abs(u) - speed) sign(u) where the reported rim speed u is above `speed`.
+def _speed_limits(cls: Any, motions: Sequence[Motion]) -> tuple[Any, ...]:
+    """Return a candidate of `counts_lost` for each trial speed limit."""
+    moving = driven_speeds(motions)
+    if not len(moving):
+        return ()
+    most = float(np.quantile(moving, 0.99))
+    return on_every_track([cls(speed=float(np.clip(part * most, 0.02, 10.0))) for part in _SPEEDS], motions)
 
-    Beyond that speed, 1 / (1 + part) of a wheel's rotation is counted. Without a track, f applies to the body.
-    """
 
-    name = "counts_lost"
-    odd = True
-    summary = "encoder counts are lost above a speed: fast wheels go farther than is counted"
-    about = About(
+# beyond the speed, 1 / (1 + part) of a wheel's rotation is counted; without a track, f applies to the body
+CountsLost = gain(
+    "counts_lost",
+    "encoder counts are lost above a speed: fast wheels go farther than is counted",
+    lambda it, m: of_each_wheel(it, m, lambda u: it.part * np.sign(u) * np.maximum(np.abs(u) - it.speed, 0.0)),
+    About(
         equation="f_wheel = part (abs(u) - speed) sign(u) where abs(u) > speed",
         typical="from half of full speed on where interrupts of a microcontroller count a fast encoder (an estimate)",
         source="engineering judgement; no published figures known to us",
         confused_with=("speed_scale", "wheel_scale", "dead_band"),
         drive="the same straight at several speeds up to the highest, and fast turns on the spot",
-    )
-
-    part: float = parameter(
-        "", "travel lost above the speed, over travel counted there", low=0.0, high=20.0, typical=0.3
-    )
-    speed: float = parameter(
-        "m/s", "rim speed above which they are lost", low=0.02, high=10.0, typical=0.3, identity=0.3, amplitude=False
-    )
-    track: float = track_parameter()
-
-    @classmethod
-    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
-        """Return a candidate for each trial speed limit."""
-        moving = driven_speeds(motions)
-        if not len(moving):
-            return ()
-        most = float(np.quantile(moving, 0.99))
-        limits = [cls(speed=float(np.clip(part * most, 0.02, 10.0))) for part in _SPEEDS]
-        return on_every_track(limits, motions)
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: the speed that was not counted."""
-        return TwistError(error_of_each_wheel(self._missed, motion, self.track or motion.track_m), state)
-
-    def _missed(self, u: Array) -> Array:
-        """Return the uncounted speed (n,) at reported speeds."""
-        return self.part * np.sign(u) * np.maximum(np.abs(u) - self.speed, 0.0)
+    ),
+    odd=True,
+    scan=classmethod(_speed_limits),
+    part=parameter("", "travel lost above the speed, over travel counted there", low=0.0, high=20.0, typical=0.3),
+    speed=parameter("m/s", "rim speed above which they are lost", low=0.02, high=10.0, typical=0.3, identity=0.3,
+                    amplitude=False),
+    track=track_parameter(),
+)  # fmt: skip

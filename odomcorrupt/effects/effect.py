@@ -148,7 +148,6 @@ class Effect:
     odd : near the identity f is exactly odd in the amplitudes, so that one evaluation gives its slope there
     aliased_with : name of an effect with the same f (an alias: no recording can separate the two)
     unsteered : for a steered robot's effect, the differential-drive effect that equals it at small steering angles
-    in_place_of : name of the clock effect with the same f to first order, in whose place alone a study tests it
     initial : state before the first interval of an effect that draws nothing; None for one without memory
     """
 
@@ -170,7 +169,6 @@ class Effect:
     odd: ClassVar[bool] = False
     aliased_with: ClassVar[str | None] = None
     unsteered: ClassVar[str | None] = None
-    in_place_of: ClassVar[str | None] = None
     initial: ClassVar[State] = None
 
     __slots__ = ()

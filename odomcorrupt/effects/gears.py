@@ -217,7 +217,8 @@ class DeadBand(Effect):
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: minus the speed lost at the commanded speed."""
-        return TwistError(error_of_each_wheel(lambda u: -self._lost(u), motion, self.track or motion.track_m), state)
+        track_m = self.track or motion.track_m
+        return TwistError(error_of_each_wheel(lambda u: -self._lost(u), motion.v, motion.omega, track_m), state)
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:
         """Return the increments that must be commanded to obtain these."""
@@ -225,15 +226,9 @@ class DeadBand(Effect):
         dt = np.diff(t_s, prepend=0.0 if state is None else state)
         if self.loss == 0.0 or not len(steps):
             return Recorded(steps, last_s)
-        rate = np.divide(1.0, dt, out=np.zeros_like(dt), where=dt > 0.0)
-        track_m = self.track or track_m
-        if track_m is None:
-            v = steps[:, 0] * rate
-            more = np.divide(self._commanded(v), v, out=np.ones_like(v), where=v != 0.0)
-            return Recorded(steps * np.stack((more, np.ones_like(v), more), axis=1), last_s)
-        rims = rims_of(steps[:, 0] * rate, steps[:, 2] * rate, track_m)
-        more_of_each = Rims(*((self._commanded(u) - u) * dt for u in rims))
-        return Recorded(steps + body_of(more_of_each, track_m), last_s)
+        v, _, omega = np.divide(steps.T, dt, out=np.zeros_like(steps.T), where=dt > 0.0)
+        more = error_of_each_wheel(lambda u: self._commanded(u) - u, v, omega, self.track or track_m)
+        return Recorded(steps + more * dt[:, None], last_s)
 
     def _lost(self, u: Array) -> Array:
         """Return the lost speed (n,) at commanded speeds."""

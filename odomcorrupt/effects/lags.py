@@ -195,7 +195,6 @@ class MotorLag(Effect):
 
     name = "motor_lag"
     layer = "record"
-    in_place_of = "time_offset"
     initial = None, 0.0  # true speeds (3,) at the end of the last increment, m/s and rad/s, None at first; its time, s
     summary = "the robot follows late the velocity commands that its odometry integrates"
     about = About(
@@ -207,7 +206,7 @@ class MotorLag(Effect):
         drive="speed up and brake briskly, straight and turning; record both on one clock",
     )
 
-    tau: float = parameter("s", "time constant", low=0.0, high=1.0, typical=0.1, step=0.02)
+    tau: float = parameter("s", "time constant", low=0.0, high=1.0, typical=0.1, step=0.2)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f, the true speeds minus the commanded ones; for tau < 0, needed for slopes, the opposite."""

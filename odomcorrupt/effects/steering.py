@@ -18,6 +18,7 @@ from odomcorrupt.effects.effect import (
     TwistError,
     choice,
     choices,
+    gain,
     parameter,
     stacked,
 )
@@ -99,45 +100,35 @@ def turned_front(v: Array, omega: Array, angle: Array | float, axles_m: float) -
     return stacked(less * v - sine * sideways, 0.0, (less * sideways + sine * v) / axles_m, v)
 
 
-@dataclass(frozen=True, slots=True)
-class SteeringOffset(Effect):
-    """f = (0, 0, curvature v (1 + tan^2 delta)): the bicycle's yaw rate with an angle delta + d, curvature = d / L.
+def _bent(it: Any, m: Motion) -> tuple[Array | float, Array | float, Array]:
+    """Return f of a steering angle delta + d, curvature = d / L, tan delta = L omega / v; without L delta is small."""
+    if it.driven == "front":  # the velocity (v, L omega) of the steered wheel, whose travel is measured, is turned by d
+        return tuple(turned_front(m.v, m.omega, it.curvature, it.axles).T)
+    steep = 1.0 + steepness(m.v, m.omega, it.axles) ** 2 if it.axles else 1.0
+    return 0.0, 0.0, it.curvature * steep * m.v
 
-    With L the distance between the axles, tan delta = L omega / v; without it delta is assumed small. With driven =
-    front the velocity (v, L omega) of the steered wheel, whose travel is measured, is turned by d.
-    Rajamani, Vehicle Dynamics and Control, ch. 2 (kinematic bicycle): omega = v tan(delta) / L.
-    """
 
-    name = "steering_offset"
-    summary = "the steering of a car or tricycle is not straight at zero, so that straight lines bend"
-    drives = STEERED
-    unsteered = "unequal_wheels"
-    about = About(
+SteeringOffset = gain(
+    "steering_offset",
+    "the steering of a car or tricycle is not straight at zero, so that straight lines bend",
+    _bent,
+    About(
         equation="f_yaw = curvature v; times 1 + (axles omega / v)^2 where the steering angles are large; "
         "f_along = -curvature axles^2 omega if the steered wheel is driven",
         typical="0.2 to 2 degrees: 0.01 to 0.1 rad/m on 0.3 m between the axles, 0.001 to 0.01 rad/m on 2.7 m",
-        source="Rajamani, Vehicle Dynamics and Control, chapter 2 (kinematic bicycle model)",
+        source="Rajamani, Vehicle Dynamics and Control, chapter 2 (kinematic bicycle model: omega = v tan(delta) / L)",
         confused_with=("gyro_bias", "turn_asymmetry", "mount_yaw"),
         drive="long straights forwards and in reverse, at two speeds, with a stop of a minute",
-    )
-
-    curvature: float = parameter(
+    ),
+    drives=STEERED,
+    unsteered="unequal_wheels",
+    scan=classmethod(lambda cls, motions: on_every_axle_distance(cls(), motions)),
+    curvature=parameter(
         "rad/m", "true curvature of a path that odometry reports as straight", low=-1.0, high=1.0, typical=0.01
-    )
-    axles: float = axles_parameter()
-    driven: str = driven_choice()
-
-    @classmethod
-    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
-        """Return the effect for small steering angles, and for large ones."""
-        return on_every_axle_distance(cls(), motions)
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: the yaw error is proportional to the distance, and changes sign in reverse."""
-        if self.driven == "front":
-            return TwistError(turned_front(motion.v, motion.omega, self.curvature, self.axles), state)
-        steep = 1.0 + steepness(motion.v, motion.omega, self.axles) ** 2 if self.axles else 1.0
-        return TwistError(stacked(0.0, 0.0, self.curvature * steep * motion.v, motion.v), state)
+    ),
+    axles=axles_parameter(),
+    driven=driven_choice(),
+)
 
 
 _SMALL = 1e-6
@@ -421,14 +412,14 @@ class SteeringPlay(Effect):
         place, side, noise, unseen = state.place, state.side, state.noise, state.unseen
         before, places, elastic = state.change, [], _ELASTIC * abs(self.play)
         rows = zip(*(column.tolist() for column in (changes, second, root, gains)), strict=True)
-        for change, rough, per_way, gain in rows:
+        for change, rough, per_way, share in rows:
             reach = max(elastic, _RANGE * noise / per_way if per_way else 0.0)
             top = half + reach
             place = min(max(place + change, -top), top)
             if abs(place) == top:
                 side, unseen = float(np.sign(place)), max(reach, abs(change), abs(before))
             before = change
-            noise = _averaged(noise, rough, elastic * per_way, gain)
+            noise = _averaged(noise, rough, elastic * per_way, share)
             places.append(_linkage(place, side, half, unseen))
         followed = angle - np.array(places)
         f[rolls] = sign * v * (curvature_at(followed, self.axles) - curvature_at(angle, self.axles))

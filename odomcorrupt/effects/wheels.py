@@ -96,17 +96,22 @@ def body_of(rims: Rims, track_m: float, heading: str = "wheels") -> Array:
     return stacked(0.5 * (rims.right + rims.left), 0.0, yaw, rims.right)
 
 
-def error_of_each_wheel(error: Callable[[Array], Array], motion: Motion, track_m: float | None) -> Array:
+def error_of_each_wheel(error: Callable[[Array], Array], v: Array, omega: Array, track_m: float | None) -> Array:
     """Return f (n, 3) of an error of each wheel by its speed; without a track, its limit for the body.
 
     error : function of rim speeds (n,), m/s, to their errors (n,), m/s
-    motion : the odometry's motion
+    v, omega : (n,) speed and yaw rate of the odometry
     track_m : distance between the wheels; None if it is not known
     """
     if track_m is not None:
-        return body_of(Rims(*(error(u) for u in rims_of(motion.v, motion.omega, track_m))), track_m)
-    part = np.divide(error(motion.v), motion.v, out=np.zeros_like(motion.v), where=motion.v != 0.0)
-    return stacked(part * motion.v, 0.0, part * motion.omega, motion.v)
+        return body_of(Rims(*(error(u) for u in rims_of(v, omega, track_m))), track_m)
+    part = np.divide(error(v), v, out=np.zeros_like(v), where=v != 0.0)
+    return stacked(part * v, 0.0, part * omega, v)
+
+
+def of_each_wheel(effect: Any, motion: Motion, error: Callable[[Array], Array]) -> tuple[Array, Array, Array]:
+    """Return f along, across and in yaw of an error of each wheel, on the effect's own track or the robot's."""
+    return tuple(error_of_each_wheel(error, motion.v, motion.omega, effect.track or motion.track_m).T)
 
 
 def driven_speeds(motions: Sequence[Motion]) -> Array:

@@ -134,7 +134,6 @@ def test_wheels_show_their_flaw_and_their_track_where_nobody_said_it(true_of, re
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="a clock equals a lag to first order, and costs less than a rare effect")
 def test_motors_that_follow_commands_late_are_no_late_clock():
     tau_s = 0.2
     learned = learn([hobby(1, lambda u, _t_s: lagged(u, tau_s))])

@@ -153,7 +153,6 @@ def untried(learned: Learned) -> list[UntestableEffect]:
             or kind.kind in ("noise", "event")
             or kind.clock
             or kind.aliased_with is not None
-            or kind.in_place_of is not None
             or kind.needs_sideways
             or not drive.admits(kind)
             or (drive.steered and kind.needs_track)

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 _MIN_LOST = 5
 _MIN_LOST_FRACTION = 5e-4  # fraction of the increments
+_FAST_SHARE = 0.125
+"""Least share of losses at speeds above the median: half is expected, and none of a driver that cuts off low speeds."""
 _MAX_HIDDEN = 0.5
 """If a larger part of the moving increments has too few ticks to show a loss, losses count as undetectable."""
 _STEPS_M = np.geomspace(1e-3, 0.05, 600)
@@ -59,7 +61,7 @@ def _losses(motion: Motion) -> list[Effect]:
         single = [
             effect_from_values("lost_increments", {"fraction": shown.fraction, "wheel": wheel, **track})
             for wheel, shown, alone in zip(("right", "left"), wheels[:2], wheels.alone, strict=True)
-            if alone >= _MIN_LOST and alone > _MIN_LOST_FRACTION * shown.of and shown.at_all_speeds
+            if alone >= _MIN_LOST and alone > _MIN_LOST_FRACTION * shown.of and shown.fast >= _FAST_SHARE
         ]
         if single:
             return single

@@ -558,12 +558,17 @@ def _unrelated(look: Look, i: int) -> Figures | None:
     undo = {"undo": lambda path: path.without_headings()} if i else {}
     turns = _turned(beside) > 0.5 if beside.headed else own.agreement[0] < _CLEAR
     if not i and _turned(path) < 1e-6 and turns:
-        return {"i": i, "what": "never change"}
+        return None if _is_straight(own, path) else {"i": i, "what": "never change"}
     # headings that are right beside wheels that are exchanged make one linear function of the two motions
     few = min(own.chords, other.chords) < 3 * _FEWEST or _linear(*look.motions[1::-1])[1] > _FOLLOWS
     if few or max(own.agreement) > _CLEAR or other.agreement[0] < _FOLLOWS or abs(look.correlations[2, 2]) > _UNCLEAR:
         return None
     return {"i": i, "what": "are 0 or 180 deg alone" if own.fixed > _FOLLOWS else "turn otherwise", **undo}
+
+
+def _is_straight(own: Own, path: Samples) -> bool:
+    """Return whether a path has directions and headings of one line alone."""
+    return _turned(path) < 1e-6 and own.chords >= _FEWEST and own.agreement[0] > _FOLLOWS
 
 
 def _upright(look: Look) -> Figures | None:
@@ -1014,6 +1019,9 @@ PATTERNS = (
     Pattern("headings of the odometry", "{who}: its headings do not follow its own path: they {what}",
             "orientation never filled in, or filled from another source than the position", _RECORD, "",
             lambda look: _unrelated(look, 0)),
+    Pattern("never turns", "{who} never turns, {other} does",
+            "a steering angle or yaw rate that stays 0; one counter read for both wheels", _RECORD, "",
+            lambda look: {} if _is_straight(look.own[0], look.paths[0]) and look.sizes[1][1] > _FEW_TURNS else None),
     Pattern("late clock",
             "{who}: its clock is {off} s {side} the odometry's (motions correlate by {best} there, by {near} as they "
             "are)", "clocks that are not synchronised; one of the files began later", "give --truth-shift {shift}", "",

@@ -121,7 +121,7 @@ class Decisions:
         "steering_scale",
     )
     rare_nats: float = 2.0
-    commanded: tuple[str, ...] = ("dead_band", "truncated_velocity", "counts_lost")
+    commanded: tuple[str, ...] = ("dead_band", "truncated_velocity", "truncated_counts", "counts_lost")
     commanded_nats: float = 6.0
     unusual_nats: float = 4.0
     unusual_shape_nats: float = 2.0

@@ -93,6 +93,11 @@ class ClockChoice:
         found = [(name, 2 * np.flatnonzero(self.optional[:, i]) + i) for i, name in enumerate(_CLOCKS)]
         return [ClockTerm(name, tuple(which.tolist())) for name, which in found if len(which)]
 
+    def released(self, near: NDArray[np.bool_], leaders: Sequence[int]) -> ClockChoice:
+        """Return the same with those held numbers (R, 2) as terms that are near zero."""
+        leading = (np.array(leaders) == np.arange(len(leaders)))[:, None]
+        return ClockChoice(self.held & ~near, self.optional | (self.held & near & leading))
+
     def free(self, names: Sequence[str], leaders: Sequence[int]) -> list[tuple[bool, bool]]:
         """Return whether offset and rate of each recording are free in a model with these clock terms."""
         chosen = np.array([name in names for name in _CLOCKS])

@@ -178,12 +178,17 @@ class Search:
         with_it = sum(weight for weight, has in weights if has)
         return sum(weight for weight, has in weights if not has) / max(with_it, 1e-300)
 
-    def refuse(self, subset: Subset) -> None:
-        """Exclude a set, and all others of the same effects, as the best one."""
+    def refuse(self, subset: Subset, present: Subset) -> None:
+        """Exclude a set, all others of the same effects, and those with more than half as many terms that are new.
+
+        Many terms at once may be too far for columns that are linear.
+
+        present : the set that the columns are linearised at
+        """
         group = self.evidence.group
-        refused = sorted(group[list(subset)])
+        refused, most = sorted(group[list(subset)]), max(len(set(subset) - set(present)) // 2, 1)
         for other in self.seen:
-            if sorted(group[list(other)]) == refused:
+            if sorted(group[list(other)]) == refused or len(set(other) - set(present)) > most:
                 self.seen[other] = -np.inf
 
     def _evaluate(self, subsets: Iterable[Subset]) -> list[Subset]:

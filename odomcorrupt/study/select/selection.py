@@ -56,6 +56,8 @@ from odomcorrupt.study.work import Work
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.io.recording import Recording
@@ -100,7 +102,9 @@ def learn(
     clocks = find_clocks(recordings, approach)
     same_data = all(one is other for one, other in zip(recordings, as_given, strict=True))
     recordings = levelled(recordings, clocks)
-    choice = _clock_choice(clocks, recordings, decisions)
+    free = np.array(clocks.free, dtype=bool).reshape(-1, 2)
+    near = _near(clocks.clocks, recordings, decisions)
+    choice = ClockChoice(free, np.zeros_like(free)).released(near, clock_leaders(recordings))
     far = [
         Clock(c.offset_s if held[0] else 0.0, c.rate if held[1] else 0.0)
         for c, held in zip(clocks.clocks, choice.held, strict=True)
@@ -122,18 +126,11 @@ def learn(
     )
 
 
-def _clock_choice(clocks: Clocks, recordings: Sequence[Recording], decisions: Decisions) -> ClockChoice:
-    """Return which clock numbers are free in any case, and which ones compete with other terms.
-
-    A clock that is far off has errors that are not linear in it, and that no other term has.
-    """
-    leaders = np.array(clock_leaders(recordings))
-    free = np.array(clocks.free, dtype=bool).reshape(-1, 2)
+def _near(clocks: Sequence[Clock], recordings: Sequence[Recording], decisions: Decisions) -> NDArray[np.bool_]:
+    """Return which numbers (R, 2) of clocks shift stamps so little that the error is linear in them."""
     lasts_s = np.array([float(r.truth_s[-1] - r.truth_s[0]) for r in recordings])
-    shift_s = np.array([(abs(c.offset_s), abs(c.rate) * t) for c, t in zip(clocks.clocks, lasts_s, strict=True)])
-    held = free & (shift_s > decisions.far_clock_s)
-    leading = (leaders == np.arange(len(leaders)))[:, None]
-    return ClockChoice(held, free & ~held & leading)
+    shift_s = np.array([(abs(c.offset_s), abs(c.rate) * t) for c, t in zip(clocks, lasts_s, strict=True)])
+    return np.asarray(shift_s <= decisions.far_clock_s)
 
 
 @dataclass(slots=True)
@@ -192,12 +189,13 @@ class _Selection:
         return self
 
     def _contradicts_physics(self) -> bool:
-        """Return whether one effect with a sign that physics forbids gains more than the whole model."""
+        """Return whether one effect gains more than the whole model, but only with a sign that physics forbids."""
         low, high = (np.where(b, b, far) for b, far in ((self.evidence.low, -np.inf), (self.evidence.high, np.inf)))
         others = [j for j, t in enumerate(self.competing) if j not in self.chosen and isinstance(t, LibraryTerm)]
-        one = [(j,) for j in others if self.competing[j].name not in self.decisions.commanded]
-        score = replace(self.evidence, low=low, high=high).gains([self.chosen, *one]).score
-        return bool(np.any(score[1:] > score[0] + self.decisions.replacement_nats))
+        one = [self.chosen, *((j,) for j in others if self.competing[j].name not in self.decisions.commanded)]
+        score = replace(self.evidence, low=low, high=high).gains(one).score
+        forbidden = ~np.isfinite(self.evidence.gains(one).score)
+        return bool(np.any(score[forbidden] > score[0] + self.decisions.replacement_nats))
 
     def _select(self) -> None:
         """Take rounds until the best set of terms is that of the model."""
@@ -214,6 +212,11 @@ class _Selection:
         if self.at is self.fit:
             return
         self.at = self.fit
+        problem = self.fit.problem
+        near = self.clocks.held & _near(problem.clocks, problem.recordings, self.decisions)
+        if near.any():  # an effect of the model explains what a clock did
+            self.clocks = self.clocks.released(near, clock_leaders(problem.recordings))
+            self.ticking = tuple(term.name for term in self.clocks.terms() if near.ravel()[list(term.which)].any())
         self.dictionary.extend(self.fit)
         present = self.selected
         own = [self.terms[e.name] for e in present]
@@ -240,7 +243,7 @@ class _Selection:
                 self.ticking = tuple(t.name for t in terms if isinstance(t, ClockTerm))
                 self.fit = self._with_shapes(larger.refit())
                 return True
-            self.search.refuse(best)
+            self.search.refuse(best, self.chosen)
         return False
 
     def _refitted(self, subset: Subset, weights_of: Fit | None = None) -> Fit:

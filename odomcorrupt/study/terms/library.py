@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects import registry
@@ -47,15 +48,18 @@ def library_families(
             family = LibraryTerm.family(kind, motions)
             if source := drive.heading_source:
                 family = tuple(t for t in family if getattr(t.start, "heading", source) == source)
-            if drive.steered:  # its odometry does not compare two wheels
-                family = tuple(t for t in family if not (getattr(t.start, "track", 0.0) or kind.needs_track))
+            if drive.steered:  # its odometry does not compare two wheels: one travel turns the robot, too
+                values = {"track": 0.0} if brings_track(kind) else {}
+                tracked = (replace(t, start=replace(t.start, **values)) for t in family)  # type: ignore[type-var]
+                family = tuple(dict.fromkeys(tracked))
+                family = () if kind.needs_track else family
             families.append(family)
     return [family for family in families if family]
 
 
 def _is_tested(kind: type[Effect], drive: DriveType) -> bool:
     """Return whether an effect is tested itself, and not only reported as an alias of a tested one."""
-    if not drive.admits(kind) or kind.in_place_of is not None:
+    if not drive.admits(kind):
         return False
     # a lever arm has two parameters, so its one-parameter alias for steered robots is tested too; but not with an
     # antenna, which is likelier off the axle than the base frame is

@@ -1,13 +1,11 @@
 """Verification that a fitted model is usable: its file can be read, and it corrects and corrupts the fitted drives.
 
 A dependence fitted to moderate motion may exceed a faster motion, or a parameter may be out of bounds. `correct` and
-`corrupt` would refuse such a model. A failing part is changed to a form with an inverse, or dropped if there is none;
-either is reported, also in the model file.
+`corrupt` would refuse such a model. A failing part is dropped, which is reported, also in the model file.
 """
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -15,8 +13,8 @@ import numpy as np
 
 from odomcorrupt.correction.undo import undo_effects
 from odomcorrupt.corruption.path import NoisyPath
-from odomcorrupt.effects.effect import amplitudes, choices, parameters
-from odomcorrupt.effects.expression import UserEffect, user_effect
+from odomcorrupt.effects.effect import amplitudes, parameters
+from odomcorrupt.effects.expression import UserEffect
 from odomcorrupt.errors import EffectError, ModelError, OdomCorruptError
 from odomcorrupt.geometry.se2 import compose, inverse
 from odomcorrupt.model.model_file import format_model, parse_model
@@ -38,10 +36,6 @@ RUNS = 20
 """Corrupted runs that must succeed for a model with random effects; without these all runs are equal. The first covers
 all recordings, each other one `_STRETCH_S` of one of them, because random effects show in a few minutes."""
 _STRETCH_S = 300.0
-_LIMITS = (0.5, 0.3, 0.15)
-"""Fractions of a motion to which a dependence is limited; the first one with an inverse is used."""
-_PART = re.compile(r"^(along|yaw|left|right|wheels) \+= (v|abs\(v\)|omega) \* \((.*)\)$")
-"""A dependence as the selection writes it: a fraction of a motion, added to a channel."""
 _MIN_DIFFERENCE = 0.05
 """Relative difference within which two errors count as equal."""
 _MAX_NOMINAL = 1.5
@@ -87,9 +81,9 @@ def verified_model(model: MotionModel, recordings: Sequence[Recording]) -> Round
     left_out: dict[str, str] = {}
     model = _within_bounds(model, changes)
     while failure := _failure(model, drives):
-        repair = next((changed for changed in _repairs(model) if not _failure(changed[0], drives)), None)
-        # If no single change helps, drop the weakest effect and try again.
-        repaired, change = repair or _without(model, _weakest_first(model)[0])
+        fewer = [_without(model, effect) for effect in _weakest_first(model)]
+        # If leaving out no single effect helps, the weakest is dropped, and others are tried.
+        repaired, change = next((one for one in fewer if not _failure(one[0], drives)), fewer[0])
         changes.append(f"{change}: {failure}")
         left_out |= dict.fromkeys(_names(model) - _names(repaired), failure)
         model = repaired
@@ -264,32 +258,6 @@ def _corrected_error(effects: Sequence[Effect], model: MotionModel, drives: Sequ
         odometry = replace(before, xyt=before.xyt + _correction(effects, drive))
         runs.append(with_recomputed_headings(undo(replace(drive.recording, odometry=odometry), model.setup.effects)))
     return phased_rmse(runs)
-
-
-def _repairs(model: MotionModel) -> Iterator[tuple[MotionModel, str]]:
-    """Yield models with one kind of change, the slightest first, and a description of the change."""
-    laws = [effect for effect in model.effects if isinstance(effect, UserEffect)]
-    for limit in _LIMITS:
-        limited = {law.name: _limited(law, limit) for law in laws}
-        changed = [name for name, law in limited.items() if law is not None]
-        if changed:
-            effects = tuple(limited.get(e.name) or e for e in model.effects)
-            said = f"{' and '.join(changed)} held within {limit:g} of the motion"
-            yield replace(model, effects=effects), said
-    for effect in _weakest_first(model):
-        yield _without(model, effect)
-
-
-def _limited(law: UserEffect, limit: float) -> UserEffect | None:
-    """Return a dependence limited to a fraction of the motion it adds to; None if it has no such form."""
-    match = _PART.match(law.expression.text)
-    if match is None or (match[1] == "yaw") != (match[2] == "omega"):
-        return None
-    values = {p.name: float(getattr(law, p.name)) for p in parameters(law)}
-    units = {p.name: p.unit for p in parameters(law)}
-    words = {word: getattr(law, word) for word in choices(law)}
-    text = f"{match[1]} += {match[2]} * max(-{limit:g}, min({limit:g}, {match[3]}))"
-    return user_effect(law.name, text, values, units, words)
 
 
 def _without(model: MotionModel, effect: Effect) -> tuple[MotionModel, str]:
