@@ -296,6 +296,7 @@ class Patcher:
     def patch(self, block: Block, targets: list[Target], curve: Curve, first_ns: int) -> None:
         """Apply C(t) to a block's targets in place; first_ns is the first stamp, the origin of clock effects."""
         odometry: dict[str, list[tuple[Target, Correction]]] = {}
+        paths: dict[str, list[tuple[NDArray[np.int64], Array]]] = defaultdict(list)
         for target in targets:
             at = curve.at(target.stamps_ns, target.time_ns)
             if target.follows is not None:
@@ -312,14 +313,16 @@ class Patcher:
                 item = target.item
                 edge = f"{plain(item.frame_id)} -> {plain(item.child_frame_id)}"
                 self.changes.edges[edge] += len(target.stamps_ns)
-                if target.channel.topic.endswith("tf_static"):
-                    self.changes.static.add(edge)
+                self.changes.static.update([edge] * target.channel.topic.endswith("tf_static"))
                 poses = poses_in(block, target.layout, target.item)
-                self.changes.paths[edge].take(planar_poses(poses))
+                paths[edge].append((target.layout.rows, planar_poses(poses)))
                 if self._moves:
                     _move(block, target, at.xyt, poses)
             if self._clocks:
                 self._shift_stamps(block, target, first_ns)
+        for edge, of_each in paths.items():  # of all publishers
+            rows, xyt = (np.concatenate(one) for one in zip(*of_each, strict=True))
+            self.changes.paths[edge].take(xyt[np.argsort(rows, kind="stable")])
         if self._moves:
             for topic, parts in odometry.items():
                 self._patch_odometry(block, topic, parts)

@@ -286,7 +286,7 @@ def oddities(outcome: Outcome) -> list[str]:
         )
     edges = [tuple(edge.split(" -> ", 1)) for edge in (*outcome.changes.edges, *outcome.stayed) if " -> " in edge]
     paths = sorted(outcome.changes.paths.items())
-    said += [f"TF {edge}: {path.sentence()}; record the TF of one alone." for edge, path in paths if path.alternates]
+    said[:0] = [f"TF {edge}: {path.sentence()}; record the TF of one alone." for edge, path in paths if path.alternates]
     tree = frame_faults([(above, below) for above, below in edges], outcome.frames.odom, outcome.frames.base)
     said += [f"{sentence[0].upper()}{sentence[1:]}." for sentence in tree]
     return said + _same_edge(outcome)

@@ -170,16 +170,9 @@ class Run:
     """
 
     def __init__(
-        self,
-        model: MotionModel,
-        seed: int,
-        run: int,
-        options: Options,
-        watchers: Iterable[PathWatcher] = (),
-        *,
-        path: PathSource | None = None,
-        systematic: SystematicEffects | None = None,
-    ) -> None:
+        self, model: MotionModel, seed: int, run: int, options: Options, watchers: Iterable[PathWatcher] = (), *, path:
+        PathSource | None = None, systematic: SystematicEffects | None = None,
+    ) -> None:  # fmt: skip
         self.drift = DriftMeter()
         self.watchers: list[PathWatcher] = [self.drift, *watchers]
         self.curve = Curve(subtracted=options.subtracted, consistent=options.consistent)

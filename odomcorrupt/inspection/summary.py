@@ -20,7 +20,7 @@ from odomcorrupt.corruption.odometry_source import (
     tree_of,
 )
 from odomcorrupt.corruption.path import JUMP_MIN_S, JUMP_SPEED
-from odomcorrupt.corruption.pose_faults import FAR_M, PoseFaults, frame_faults
+from odomcorrupt.corruption.pose_faults import FAR_M, Alternation, PoseFaults, frame_faults
 from odomcorrupt.corruption.reorder import WINDOW_NS
 from odomcorrupt.corruption.summary import SIDEWAYS, leaks_line
 from odomcorrupt.errors import ModelError, TopicError
@@ -342,13 +342,9 @@ def _edge(edge: EdgeRecord, frames: Frames | None) -> dict[str, Any]:
 
 
 def _remarks(
-    scan: BagScan,
-    source: OdometryRecord | None,
-    frames: Frames | None,
-    edges: Sequence[EdgeRecord],
-    *,
-    asked_frame: str | None,
-) -> list[str]:
+    scan: BagScan, source: OdometryRecord | None, frames: Frames | None, edges: Sequence[EdgeRecord], *, asked_frame:
+    str | None,
+) -> list[str]:  # fmt: skip
     said = []
     if not scan.odometry and source is not None:
         said.append("no nav_msgs/Odometry topic: TF is the odometry")
@@ -367,13 +363,17 @@ def _remarks(
     odom, base = (None, None) if frames is None else (frames.odom, frames.base)
     said += frame_faults([(e.parent, e.child) for e in edges], odom, base)
     if frames is not None:
-        said += [
-            f"/tf_static holds {e.parent} -> {e.child}: published once for all time, it cannot follow a drift"
-            for e in edges
-            if "static" in e.topic and side_of(e.parent, e.child, frames) is not None
-        ]
+        moved = [e for e in edges if side_of(e.parent, e.child, frames) is not None]
+        for e in (e for e in moved if "static" in e.topic):
+            said.append(
+                f"/tf_static holds {e.parent} -> {e.child}: published once for all time, it cannot follow a drift"
+            )
+        for e in moved if scan.odometry else ():
+            path = Alternation()
+            path.take(e.xyt[np.argsort(e.stamps_ns, kind="stable")])
+            said += [f"TF {e.parent} -> {e.child}: {path.sentence()}"] * path.alternates
         said += localisation_words({f"{e.parent} -> {e.child}": e.topic for e in edges}, frames)
-        if not any(side_of(e.parent, e.child, frames) for e in edges):
+        if not moved:
             said.append(f"no transform from or to {frames.odom} would move")
     return said
 

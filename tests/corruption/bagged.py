@@ -180,10 +180,10 @@ def write_mcap(path, messages):
         writer.start(profile="ros2")
         ids = {}
         for channel, log_ns, data in messages:
-            if channel.topic not in ids:
+            if (channel.id, channel.topic) not in ids:
                 schema = writer.register_schema(channel.msgtype, "ros2msg", b"")
-                ids[channel.topic] = writer.register_channel(channel.topic, "cdr", schema)
-            writer.add_message(ids[channel.topic], int(log_ns), data, int(log_ns))
+                ids[channel.id, channel.topic] = writer.register_channel(channel.topic, "cdr", schema)
+            writer.add_message(ids[channel.id, channel.topic], int(log_ns), data, int(log_ns))
         writer.finish()
     return path
 
