@@ -144,6 +144,8 @@ def _report_error(error: BaseException, args: Sequence[str]) -> int:
     elif isinstance(error.__cause__, EOFError):  # click would report every EOFError as an interruption
         _say(f"a file ended early: {error.__cause__}")
     elif isinstance(error, click.Abort | KeyboardInterrupt):
+        kept = str(error.__cause__ or "")
+        _say(f"interrupted: {kept or 'nothing unfinished is kept; the same command starts again'}")
         code = 128 + signal.SIGINT
     elif isinstance(error, OdomCorruptError):
         if isinstance(error.__cause__, BrokenPipeError):

@@ -13,10 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 MOST_LINES = 8
-"""Largest number of lines of a summary, so that it is read without scrolling; more only if a long command would take
-the place of what has to be said first."""
-_COMMAND_LINES = 2
-"""Lines of a command that count then."""
+"""Lines of a summary, read without scrolling; one more if it is the only one left, others before a long command."""
+_COMMAND_LINES = 2  # of a long command that count
 WIDTH = 80
 """Columns of a summary, if the terminal has as many."""
 
@@ -82,7 +80,7 @@ class Summary(NamedTuple):
     def below(self, report: str) -> Summary:
         """Return what ends a full report: the verdict, what has to be said first and is not in it, the next command."""
         first, *others = self.lines if self.lines[0].tone != "plain" else [Line("", "")]  # a list has no verdict
-        kept = [one for one in others if one.tone == "command" or (one.weight >= FIRST and one.text not in report)]
+        kept = (one for one in others if one.tone == "command" or (one.weight >= FIRST and one.text not in report))
         return Summary((first, *kept), len(report))
 
     def html(self) -> str:

@@ -290,12 +290,12 @@ def stopping(error):
 
 
 @pytest.mark.parametrize(
-    ("error", "code", "said"), [(KeyboardInterrupt(), 130, ""), (BagError("a\nb"), 1, "odomcorrupt: a b\n")]
+    ("error", "code", "said"), [(KeyboardInterrupt(), 130, "interrupted: nothing"), (BagError("a\nb"), 1, "a b\n")]
 )
 def test_interrupts_and_errors_end_with_their_code(monkeypatch, capsys, error, code, said):
     monkeypatch.setattr("odomcorrupt.api.corruption.corrupt_bag", stopping(error))
     assert run([OFFICE, "out.mcap"]) == code
-    assert capsys.readouterr().err.strip() == said.strip()
+    assert capsys.readouterr().err.strip().startswith(f"odomcorrupt: {said.strip()}")
 
 
 def test_a_terminal_is_not_fed_with_bytes(monkeypatch, capsys):

@@ -73,8 +73,7 @@ class Console(NamedTuple):
                 brief = "" if isinstance(brief, str) else brief.below(details)
             if not isinstance(brief, str):
                 brief, following = brief.parts(min(_WIDTH, columns or _WIDTH), colour=_colours(stream))
-            if brief:
-                click.echo(brief, err=err)
+            click.echo(brief, err=err, nl=bool(brief))
         for path, write in files.items():
             said = write()
             self.note(said if isinstance(said, str) else f"wrote {path}")
@@ -216,10 +215,10 @@ def _entries(file: Path, own: click.Command) -> Iterator[tuple[click.Command, cl
     for key, value in table.items():
         if not isinstance(value, dict):
             every = chain([own], map(_command, command_names()))
-            command = next((one for one in every if _word(key) in _named(one)), None)
+            command = next((one for one in every if key.replace("_", "-") in _named(one)), None)
             if command is None:
                 raise click.UsageError(f"{file}: {key}: no command has this option")
-            yield command, _named(command)[_word(key)], key, value
+            yield command, _named(command)[key.replace("_", "-")], key, value
     for name, values in table.items():
         if not isinstance(values, dict):
             continue
@@ -228,11 +227,11 @@ def _entries(file: Path, own: click.Command) -> Iterator[tuple[click.Command, cl
         command = own if name == own.name else _command(name)
         options = _named(command)
         for key, value in values.items():
-            if _word(key) not in options:
+            if key.replace("_", "-") not in options:
                 raise click.UsageError(
                     f"{file}: [{name}] {key}: is not an option; there are {', '.join(sorted(options))}"
                 )
-            yield command, options[_word(key)], f"[{name}] {key}", value
+            yield command, options[key.replace("_", "-")], f"[{name}] {key}", value
 
 
 def _table(file: Path) -> Mapping[str, Any]:
@@ -247,10 +246,6 @@ def _named(command: click.Command) -> dict[str, click.Option]:
     """Return a command's options by their long names, without dashes."""
     options = (p for p in command.params if isinstance(p, click.Option) and p.expose_value)
     return {word[2:]: p for p in options for word in p.opts if word.startswith("--")}
-
-
-def _word(key: str) -> str:
-    return key.replace("_", "-")
 
 
 @functools.cache

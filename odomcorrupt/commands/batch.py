@@ -96,8 +96,8 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, console: Cons
             done = batch(inputs, target, **options, progress=functools.partial(Rate, quiet=console.quiet))
         except KeyboardInterrupt:
             kept = sum(len(read_records(path.parent)) for path in target.rglob(BEGINNING))
-            console.note(f"interrupted: {kept} runs are complete in {target}; the same command makes the others")
-            raise
+            said = f"{kept} runs are complete in {target}; the same command makes the others"
+            raise KeyboardInterrupt(said) from None
     console.show(done, bag=str(target))
     if done.failures and console.quiet:
         run, reason = done.failures[0]

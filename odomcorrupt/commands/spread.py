@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import click
@@ -18,7 +19,11 @@ from odomcorrupt.commands._standard import Console, overwrite_option, standard_o
 def command(directory: Path, plot: Path | None, *, console: Console) -> None:
     """Show how position and heading of a batch's runs spread with the distance, and what the linear model predicts."""
     from odomcorrupt.api.batch import spread
+    from odomcorrupt.batching.manifest import read_records
 
-    result = spread(directory)
-    following = ("spread", directory, "--plot", "spread.png") if plot is None else ("score", "-h")
-    console.show(result.then("odomcorrupt", *following), files=written(plot, result.plot))
+    result, first = spread(directory), next(iter(read_records(directory).values()))
+    # a trajectory is written as a bag; a bag's topics are looked up for `score`
+    bag = directory / first["file"]
+    made = shlex.split(first["command"]) if bag.suffix == ".tum" else ["odomcorrupt", "info", str(bag)]
+    drawn = ["odomcorrupt", "spread", str(directory), "--plot", "spread.png"]
+    console.show(result.then(*(drawn if plot is None else made)), files=written(plot, result.plot))

@@ -96,7 +96,8 @@ def test_parameters_stand_without_their_derivation_unless_it_is_asked_for(target
     ("typed", "last"),
     [
         ("info in.mcap", "noisy.mcap"),
-        ("batch in.mcap runs --runs 2 --preset typical --output trajectories --seed 1", "score -h"),
+        ("batch in.mcap runs --runs 2 --preset typical --output trajectories --seed 1", "preview run_000000.mcap"),
+        ("batch in.mcap runs --runs 2 --seed 1", "info runs/run_000000.mcap"),
         ("sample -n 50 --seed 2", "density -n 50 --seed 2 --plot density.png"),
         ("integrate in.mcap --twist-noise 0.2 0.04 --seed 1 --runs 3", "--plot errors.png"),
         ("learn mystery.mcap -o robot.toml", "export robot.toml --to ros2_control"),
