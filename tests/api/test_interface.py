@@ -301,9 +301,10 @@ def test_one_effect_may_be_given_without_a_list():
     assert "0.01" in html
 
 
-def test_other_thresholds_of_the_selection_give_another_result():
-    # diagnose finds the wheelbase with the thresholds of the package; see its example
-    mystery, none = ROOT / "fixtures" / "mystery.mcap", replace(DECISIONS, term_nats=1e9)
-    assert oc.diagnose(mystery, decisions=none).missing == ()
-    learned = oc.learn(mystery, decisions=none)
+def test_other_thresholds_of_the_selection_give_another_result(tmp_path):
+    drive, none = tmp_path / "run.mcap", replace(DECISIONS, term_nats=1e9)
+    # with the thresholds of the package both find the wheelbase
+    oc.simulate(drive, effects=["wheelbase"], size=3.0, seed=1, duration_s=60.0)
+    assert oc.diagnose(drive, decisions=none).missing == ()
+    learned = oc.learn(drive, decisions=none)
     assert (learned.missing, learned.result.search.decisions) == ((), none)

@@ -248,9 +248,3 @@ def test_cdr_messages_do_not_become_a_ros1_bag(tmp_path):
 @pytest.mark.parametrize("path", INDEXED, ids=lambda path: path.name)
 def test_recordings_of_others_go_through(path, tmp_path):
     assert ros1_messages(copy(path, tmp_path / "out.bag")) == ros1_messages(path)
-
-
-@pytest.mark.recordings
-def test_the_unindexed_recording_is_refused():
-    with pytest.raises(BagError, match=r"not indexed.*recover=True"):
-        open_reader(RECORDINGS / "bags" / "malformed" / "unindexed.bag")

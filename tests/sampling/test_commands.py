@@ -53,6 +53,11 @@ def test_article_code_says_what_it_means(capsys):
         (["sample", "--law", "quadratic"], "--alpha"),
         (["sample", "--law", "article-code", "--preset", "typical"], "--alpha"),
         (["density", "--alpha", "0", "0", "0.1", "0.1"], "rot1"),
+        (["convert-alpha", "1", "1", "1", "1", "--from", "quadratic", "--to", "diffusion"], "--step"),
+        (["convert-alpha", "1", "1", "1", "1", "--from", "diffusion", "--to", "linear"], "--to-step"),
+        (["convert-alpha", "1", "1", "1", "--from", "diffusion", "--to", "linear"], "3 numbers"),
+        (["convert-alpha", "1", "1", "1", "x", "--from", "diffusion", "--to", "linear"], "'x'"),
+        (["convert-alpha", "1", "1", "1", "1", "--from", "cubic", "--to", "linear"], "cubic"),
     ],
 )
 def test_wrong_usage_is_reported_in_one_line(arguments, word, capsys):

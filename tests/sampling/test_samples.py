@@ -384,23 +384,6 @@ def test_what_has_no_place_in_the_other_law_is_reported():
     assert convert(sideways, law_named("omni"), STEP).coefficients.across_trans > 0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (["1", "1", "1", "1", "--from", "quadratic", "--to", "diffusion"], "--step"),
-        (["1", "1", "1", "1", "--from", "diffusion", "--to", "linear"], "--to-step"),
-        (["1", "1", "1", "--from", "diffusion", "--to", "linear"], "3 numbers"),
-        (["1", "1", "1", "x", "--from", "diffusion", "--to", "linear"], "'x'"),
-        (["1", "1", "1", "1", "--from", "cubic", "--to", "linear"], "cubic"),
-    ],
-)
-def test_wrong_usage_is_reported_in_one_line(arguments, word, capsys):
-    assert run(["convert-alpha", *arguments]) == 2
-    lines = capsys.readouterr().err.strip().splitlines()
-    assert len(lines) == 1
-    assert word in lines[0]
-
-
 def test_command_prints_what_to_type_next(capsys):
     arguments = ["convert-alpha", "0.1", "0.05", "0.04", "0.02", "--from", "quadratic", "--step", "0.25m"]
     assert run([*arguments, "--to", "diffusion"]) == 0
