@@ -24,10 +24,13 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.fixture
 def interruptible():
-    """Hear SIGINT, which a shell's background jobs, and all that they begin, ignore."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Hear SIGINT and SIGHUP, which a shell's background jobs and those of nohup, and all that they begin, ignore."""
+    before = [
+        signal.signal(*one) for one in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL))
+    ]
     yield
-    signal.signal(signal.SIGINT, before)
+    for number, handler in zip((signal.SIGINT, signal.SIGHUP), before, strict=True):
+        signal.signal(number, handler)
 
 
 @pytest.fixture
