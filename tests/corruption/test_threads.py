@@ -143,7 +143,7 @@ def test_an_interrupt_ends_everything_at_once_though_a_pipe_waits(long, number, 
         begun = time.monotonic()
         assert process.wait(20) in (130, 128 + number)
         assert time.monotonic() - begun < 10
-        assert process.stderr.read().count(b"\n") <= 1
+        assert process.stderr.read().strip().count(b"\n") == 0  # behind the ^C of a terminal
     assert not list(tmp_path.iterdir())
 
 
