@@ -132,9 +132,9 @@ def phased_misses(recordings: Sequence[Recording], length_s: float = WINDOW_S) -
     return [np.concatenate([_squared_misses(run, length_s, phase) for run in recordings]) for phase in phases]
 
 
-def phased_rmse(recordings: Sequence[Recording]) -> float:
+def phased_rmse(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> float:
     """Return the root mean square position error (m) of `phased_misses`; NaN if there is no complete window."""
-    return Drift(tuple(phased_misses(recordings))).rmse
+    return Drift(tuple(phased_misses(recordings, length_s))).rmse
 
 
 def _squared_misses(recording: Recording, length_s: float, phase: float) -> Array:
@@ -433,6 +433,6 @@ def _turned(recording: Recording, fitted: Fit, number: int, turns: Array) -> Rec
     return replace(recording, truth=replace(truth, xyt=np.column_stack((xy, truth.xyt[:, 2] + more))))
 
 
-def ten_second_error(fitted: Fit) -> float:
-    """Return the root mean square position error (m) after 10 s on the fitted recordings themselves."""
-    return phased_rmse([with_recomputed_headings(recording) for recording in fitted.problem.left])
+def ten_second_error(fitted: Fit, length_s: float = WINDOW_S) -> float:
+    """Return the root mean square position error (m) after 10 s, or `length_s`, on the fitted recordings themselves."""
+    return phased_rmse([with_recomputed_headings(recording) for recording in fitted.problem.left], length_s)

@@ -69,8 +69,8 @@ _OF_TIME = ("scale_drift", "gyro_warm_up")
 """Effects that are a course over time, as that of a random process may be by chance."""
 _SEVERAL = 3
 """Number of terms from which on a random process may be simpler."""
-_SLIGHT = 0.02
-"""Fraction of the gain of a model below which a term may be the misfit of another one's shape."""
+_SPANS_S = (10.0, 60.0)
+"""Times over which a term has a size: the error of a heading shows late, above all of a slow robot."""
 
 
 def learn(
@@ -292,7 +292,7 @@ class _Selection:
         of its size, is explained by a further term.
         """
         gains = {self.competing[i].name: more for i, more in self._gains().items()}
-        least = _SLIGHT * sum(gains.values())
+        least, most = self.decisions.practical.share * sum(gains.values()), 1.0 + self.decisions.practical.share
         slight = sorted((gains[name], name) for name in self.terms if gains.get(name, np.inf) < least)
         for _, name in slight:
             kept, before = dict(self.terms), self.fit
@@ -302,8 +302,7 @@ class _Selection:
             compared = before.refit(weights_of=before), self.fit.refit(weights_of=before)
             index = next(i for i in self.chosen if self.competing[i].name == name)
             gained = compared[0].log_likelihood - compared[1].log_likelihood > 2.0 * self.evidence.cost[index]
-            size = ten_second_error(self.fit) / ten_second_error(before) - 1.0
-            if gained and size > self.decisions.practical.share:
+            if gained and max(ten_second_error(self.fit, s) / ten_second_error(before, s) for s in _SPANS_S) > most:
                 self.terms, self.fit = kept, before
 
     def _gains(self) -> dict[int, float]:
@@ -318,7 +317,7 @@ class _Selection:
 
         The course of a bias over one drive is also a function of time, of places that are passed once, or a sum of
         several effects. So the selection is repeated beside a process, from the model without its basis functions and
-        drifts, and from the term with the largest gain alone.
+        drifts, and from the term with the largest gain alone. If the 10 s error grows, the process imitates effects.
         """
         if len(self.fit.random) >= self.decisions.max_correlated:
             return
@@ -328,6 +327,7 @@ class _Selection:
         if len(terms) > _SEVERAL:
             starts.append([self.competing[i].name for i in self._order(self._gains())[:1]])
         best, least = (before, terms, ticking, noise), 0.0
+        most_m = (1.0 + self.decisions.practical.share) * ten_second_error(before)
         for kept in starts:
             self.fit = before.refit([e for e in before.effects if e.name in self.given or e.name in kept])
             self.terms, self.ticking = {name: terms[name] for name in kept}, ticking
@@ -338,7 +338,7 @@ class _Selection:
             likelier = self.fit.refit(weights_of=before).log_likelihood - before.refit(weights_of=before).log_likelihood
             numbers = float(np.log(len(before.problem.intervals)))  # two numbers of a process, by half of it each
             gain = likelier - numbers - self._cost(self.terms) + self._cost(terms)
-            if gain > least:
+            if gain > least and ten_second_error(self.fit) < most_m:
                 best, least = (self.fit, self.terms, self.ticking, self.noise), gain
         self.fit, self.terms, self.ticking, self.noise = best
         self._linearise()
