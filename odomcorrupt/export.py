@@ -156,7 +156,7 @@ def wheel_multipliers(model: MotionModel, track_m: float | None = None) -> dict[
     scale = 1.0 + sum(effect.e for effect in model.effects if isinstance(effect, WheelScale))
     turns = scale - sum(effect.e / (1.0 + effect.e) for effect in model.effects if isinstance(effect, Wheelbase))
     if wheel_layout(model) in STEERED:
-        turns += sum(effect.e for effect in model.effects if isinstance(effect, SteeringScale))
+        turns += sum(getattr(effect, "e", 0.0) for effect in model.effects if effect.name == SteeringScale.name)
     curvature = sum(effect.curvature for effect in model.effects if isinstance(effect, UnequalWheels))
     track = track_m if track_m is not None else model.track_m
     if curvature and track is None:

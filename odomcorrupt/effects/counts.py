@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
@@ -25,12 +25,13 @@ from odomcorrupt.effects.random_processes import copied
 from odomcorrupt.effects.wheels import (
     Rims,
     body_of,
-    driven_speeds,
+    error_of_each_wheel,
     needed_track_m,
     of_each_wheel,
     on_every_track,
     rims_of,
     track_parameter,
+    trial_speeds,
 )
 from odomcorrupt.geometry.motion import lost_parts, speed_steps
 
@@ -211,23 +212,53 @@ class TruncatedVelocity(Effect):
         return Recorded(cut, (float(t_s[-1]), *phases) if len(t_s) else state)
 
 
-# a lost remainder is between nothing and a whole tick, whichever way the wheel turns
-TruncatedCounts = gain(
-    "truncated_counts",
-    "each reading of a wheel is truncated to whole ticks, and the remainder is lost",
-    lambda it, m: of_each_wheel(it, m, lambda u: it.step / 2.0 * u / np.hypot(u, _STILL)),
-    About(
-        equation="f_wheel = step sign(u) / 2 on average, step = travel of a tick times readings per second",
+@dataclass(frozen=True, slots=True)
+class TruncatedCounts(Effect):
+    """f of a wheel = step sign(u) / 2: each reading is truncated to whole ticks, and its remainder is lost.
+
+    A lost remainder is between nothing and a whole tick, whichever way the wheel turns. Slow wheels are reported as
+    single ticks among zeros, so that u is the mean rim speed around each moment.
+    """
+
+    name = "truncated_counts"
+    odd = True
+    layer = "record"
+    initial = 0.0  # the last stamp, s
+    summary = "each reading of a wheel is truncated to whole ticks, and the remainder is lost"
+    about = About(
+        equation="reported u = step trunc(u / step); on average f_wheel = step sign(u) / 2",
         typical="one tick of 0.2 to 2 mm at 50 readings per second: 0.01 to 0.1 m/s (by arithmetic)",
         source="rounding towards zero, as an integer division in C does (ISO/IEC 9899, 6.5.5)",
         confused_with=("wheel_scale", "speed_scale", "truncated_velocity", "dead_band"),
         drive="the same straight, and turns on the spot, very slowly and fast",
-    ),
-    odd=True,
-    scan=classmethod(lambda cls, motions: on_every_track((cls(),), motions)),
-    step=parameter("m/s", "rim speed of one tick per reading", low=0.0, high=0.5, typical=0.02),
-    track=track_parameter(),
-)
+    )
+
+    step: float = parameter("m/s", "rim speed of one tick per reading", low=0.0, high=0.5, typical=0.02)
+    track: float = track_parameter()
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
+        """Return the effect on every trial track."""
+        return on_every_track((cls(),), motions)
+
+    @property
+    def lost_m(self) -> float:
+        """Bound on the uncorrectable error: a wheel at a constant speed loses another part of a tick than its mean."""
+        return self.step * _LONG_S
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: half a tick in the direction that each wheel turns."""
+        v, omega = (_mean_around(speed, motion.dt_s) for speed in (motion.v, motion.omega))
+        track_m, half = self.track or motion.track_m, self.step / 2.0
+        return TwistError(error_of_each_wheel(lambda u: half * u / np.hypot(u, _STILL_MEAN), v, omega, track_m), state)
+
+    def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:
+        """Return increments of whole ticks of each wheel; sideways travel is unchanged."""
+        dt = np.diff(t_s, prepend=state)[:, None]
+        v, _, omega = np.divide(steps, dt, out=np.zeros_like(steps), where=dt > 0.0).T
+        whole = lambda u: self.step * np.trunc(u / (self.step or 1.0)) - u  # noqa: E731
+        lost = error_of_each_wheel(whole, v, omega, self.track or track_m) if self.step else 0.0
+        return Recorded(steps + lost * dt, float(t_s[-1]) if len(t_s) else state)
 
 
 def _mean_around(speed: Array, dt_s: Array) -> Array:
@@ -509,15 +540,6 @@ _SPEEDS = (0.4, 0.6, 0.75, 0.88)
 """Trial values of the speed limit, as fractions of a drive's highest rim speed."""
 
 
-def _speed_limits(cls: Any, motions: Sequence[Motion]) -> tuple[Any, ...]:
-    """Return a candidate of `counts_lost` for each trial speed limit."""
-    moving = driven_speeds(motions)
-    if not len(moving):
-        return ()
-    most = float(np.quantile(moving, 0.99))
-    return on_every_track([cls(speed=float(np.clip(part * most, 0.02, 10.0))) for part in _SPEEDS], motions)
-
-
 # beyond the speed, 1 / (1 + part) of a wheel's rotation is counted; without a track, f applies to the body
 CountsLost = gain(
     "counts_lost",
@@ -531,7 +553,8 @@ CountsLost = gain(
         drive="the same straight at several speeds up to the highest, and fast turns on the spot",
     ),
     odd=True,
-    scan=classmethod(_speed_limits),
+    scan=classmethod(lambda cls, motions: on_every_track(
+        [cls(speed=speed) for speed in trial_speeds(motions, 0.99, _SPEEDS, 0.02, 10.0)], motions)),
     part=parameter("", "travel lost above the speed, over travel counted there", low=0.0, high=20.0, typical=0.3),
     speed=parameter("m/s", "rim speed above which they are lost", low=0.02, high=10.0, typical=0.3, identity=0.3,
                     amplitude=False),

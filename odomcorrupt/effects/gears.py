@@ -12,13 +12,13 @@ from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, T
 from odomcorrupt.effects.wheels import (
     Rims,
     body_of,
-    driven_speeds,
     error_of_each_wheel,
     heading_choice,
     needed_track_m,
     on_every_track,
     rims_of,
     track_parameter,
+    trial_speeds,
 )
 
 if TYPE_CHECKING:
@@ -207,11 +207,7 @@ class DeadBand(Effect):
         The two gain at other speeds. On a track that is only tried, the sharp end of a band fits any event of a slow
         wheel: a lawn mower got noise four times too large beside it.
         """
-        moving = driven_speeds(motions)
-        if not len(moving):
-            return ()
-        usual = float(np.quantile(moving, 0.9))
-        ends = [float(np.clip(part * usual, 0.005, 2.0)) for part in _SPEEDS]
+        ends = trial_speeds(motions, 0.9, _SPEEDS, 0.005, 2.0)
         losses = ("less",) if motions[0].track_m is None else ("less", "full")
         return on_every_track([cls(speed=end, beyond=beyond) for beyond in losses for end in ends], motions)
 
@@ -306,12 +302,10 @@ class FlatSpot(Effect):
         rims = rims_of(motion.v, motion.omega, track_m)
         arms_m = 0.5 * track_m, -0.5 * track_m
         ways = [motion.rolled(arm_m, before) for arm_m, before in zip(arms_m, state, strict=True)]
-        zero = np.zeros(len(motion))
-        if self.wheel == "right":
-            lost = Rims(self._lost(rims.right, ways[0]), zero)
-        else:
-            lost = Rims(zero, self._lost(rims.left, ways[1]))
-        return TwistError(body_of(lost, track_m), tuple(float(way[-1]) for way in ways))
+        lost = [
+            self._lost(u, way) * (side == self.wheel) for side, u, way in zip(Rims._fields, rims, ways, strict=True)
+        ]
+        return TwistError(body_of(Rims(*lost), track_m), tuple(float(way[-1]) for way in ways))
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - at any time
         """Return the increments (n, 3) that, less the loss of the spot, equal the given ones."""
@@ -327,10 +321,9 @@ class FlatSpot(Effect):
                     break
             more[i] = reported - gone
             way += reported
-        zero = np.zeros(len(true))
-        both = Rims(more, zero) if self.wheel == "right" else Rims(zero, more)
-        turned = (way, 0.0) if self.wheel == "right" else (0.0, way)
-        return Recorded(steps + body_of(both, track_m) if self.depth else steps, turned)
+        right = float(self.wheel == "right")
+        reported = steps + body_of(Rims(right * more, (1.0 - right) * more), track_m) if self.depth else steps
+        return Recorded(reported, (right * way, (1.0 - right) * way))
 
     def _lost(self, u: Array, way: Array) -> Array:
         """Return f of a wheel (n,) from its rim speeds and its travel (n + 1,)."""

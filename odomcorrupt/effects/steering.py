@@ -134,53 +134,35 @@ SteeringOffset = gain(
 _SMALL = 1e-6
 
 
-@dataclass(frozen=True, slots=True)
-class SteeringScale(Effect):
-    """f = (0, 0, e omega delta (1 + tan^2 delta) / tan delta): the bicycle's yaw rate with an angle delta (1 + e).
+def _turned_more(it: Any, m: Motion) -> tuple[Array | float, Array | float, Array]:
+    """Return f of a steering angle delta (1 + e), tan delta = L omega / v; without L delta is small, f = e omega."""
+    if it.driven == "front" and it.axles:  # its velocity (v, L omega) is turned by e delta
+        delta = np.arctan2(it.axles * m.omega * np.sign(m.v), np.abs(m.v))
+        return tuple(turned_front(m.v, m.omega, it.e * delta / it.axles, it.axles).T)
+    tangent = np.maximum(steepness(m.v, m.omega, it.axles), _SMALL)
+    return 0.0, 0.0, it.e * np.arctan(tangent) * (1.0 + tangent**2) / tangent * m.omega
 
-    With L the distance between the axles, tan delta = L omega / v; without it delta is assumed small, f = e omega.
-    With driven = front the velocity (v, L omega) of the steered wheel, whose travel is measured, is turned by e delta
-    instead. At small angles a relative error -e of L is equivalent. Rajamani, Vehicle Dynamics and Control, ch. 2
-    (kinematic bicycle).
-    """
 
-    name = "steering_scale"
-    summary = "the steering ratio of a car or tricycle is off, or the distance between its axles"
-    drives = STEERED
-    unsteered = "wheelbase"
-    about = About(
+SteeringScale = gain(
+    "steering_scale",
+    "the steering ratio of a car or tricycle is off, or the distance between its axles",
+    _turned_more,
+    About(
         equation="f_yaw = e omega; more in tight curves where the angles are large (axles); "
         "f_along = -e delta axles omega if the steered wheel is driven",
         typical="1 to 10 %: a nominal steering ratio, a servo's gain, an axle distance taken from a drawing",
         source="Rajamani, Vehicle Dynamics and Control, chapter 2 (kinematic bicycle model)",
         confused_with=("turn_asymmetry", "side_slip", "speed_scale"),
         drive="curves of several radii to both sides, at two speeds",
-    )
-
-    e: float = parameter(
-        "", "true over nominal steering angle, minus one; as well nominal over true axle distance, minus one",
-        low=-0.9995, high=1999.0, typical=0.03,
-    )  # fmt: skip
-    axles: float = axles_parameter()
-    driven: str = driven_choice()
-
-    @classmethod
-    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
-        """Return the effect for small steering angles, and for large ones."""
-        return on_every_axle_distance(cls(), motions)
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: every turn has the same scale error."""
-        if self.driven == "front" and self.axles:
-            sideways = self.axles * motion.omega
-            delta = np.arctan2(sideways * np.sign(motion.v), np.abs(motion.v))
-            return TwistError(turned_front(motion.v, motion.omega, self.e * delta / self.axles, self.axles), state)
-        return TwistError(stacked(0.0, 0.0, self.e * self._steep(motion) * motion.omega, motion.v), state)
-
-    def _steep(self, motion: Motion) -> Array:
-        """Return the factor (n,) delta (1 + tan^2 delta) / tan delta; 1 at small angles."""
-        tangent = np.maximum(steepness(motion.v, motion.omega, self.axles), _SMALL)
-        return np.arctan(tangent) * (1.0 + tangent**2) / tangent
+    ),
+    drives=STEERED,
+    unsteered="wheelbase",
+    scan=classmethod(lambda cls, motions: on_every_axle_distance(cls(), motions)),
+    e=parameter("", "true over nominal steering angle, minus one; as well nominal over true axle distance, minus one",
+                low=-0.9995, high=1999.0, typical=0.03),
+    axles=axles_parameter(),
+    driven=driven_choice(),
+)  # fmt: skip
 
 
 _ROLLS_MPS = 0.01 - 1e-9

@@ -114,10 +114,13 @@ def of_each_wheel(effect: Any, motion: Motion, error: Callable[[Array], Array]) 
     return tuple(error_of_each_wheel(error, motion.v, motion.omega, effect.track or motion.track_m).T)
 
 
-def driven_speeds(motions: Sequence[Motion]) -> Array:
-    """Return the absolute forward speeds (n,) of recordings while the robot moves, m/s."""
+def trial_speeds(
+    motions: Sequence[Motion], quantile: float, parts: Sequence[float], low: float, high: float
+) -> list[float]:
+    """Return parts of a quantile of the speeds at which the robots move, within bounds, m/s; none if they stand."""
     speeds = np.abs(np.concatenate([m.v for m in motions]))
-    return speeds[speeds > _STILL_MPS]
+    moving = speeds[speeds > _STILL_MPS]
+    return np.clip(np.multiply(parts, np.quantile(moving, quantile)), low, high).tolist() if len(moving) else []
 
 
 @lru_cache(maxsize=4)  # a shape search needs the same ones a thousand times

@@ -19,7 +19,7 @@ from odomcorrupt.study.io import Source
 from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.terms.library import library_families
 
-OFFSET_RAD, BAND_MPS, SAG_PER_S, LIMIT_MPS, PLAY_M = 0.02, 0.03, 2.5e-4, 0.2, 0.008
+OFFSET_RAD, BAND_MPS, SAG_PER_S, LIMIT_MPS, PLAY_M, TICK_MPS = 0.02, 0.03, 2.5e-4, 0.2, 0.008, 0.03
 QUIET = Coefficients(0.006, 0.006, 0.004, 0.002)
 SURE = 3.5
 """Standard errors of an amplitude; a shape's own error is in them, the simulator's rounding of corners is not."""
@@ -35,6 +35,11 @@ def sagging(u, t_s):
 
 def half_lost(u, _t_s):
     return np.sign(u) * np.where(np.abs(u) > LIMIT_MPS, (LIMIT_MPS + np.abs(u)) / 2.0, np.abs(u))
+
+
+def in_whole_ticks(u, _t_s):
+    """Return the speed of a wheel whose readings, which shake by a tick, lose their remainder."""
+    return TICK_MPS * np.trunc(u / TICK_MPS + np.random.default_rng(3).uniform(-0.5, 0.5, len(u)))
 
 
 def through_play(u, _t_s):
@@ -118,6 +123,7 @@ def test_a_car_and_a_commanded_robot_with_nothing_wrong_have_no_name():
         (dead_band, None, "dead_band", {"loss": 1.0, "speed": BAND_MPS}),
         (sagging, None, "scale_drift", {"rate": -SAG_PER_S}),
         (as_commanded, half_lost, "counts_lost", {"part": 1.0, "speed": LIMIT_MPS}),
+        (as_commanded, in_whole_ticks, "truncated_counts", {"step": TICK_MPS}),
         (through_play, None, "backlash", {"travel": PLAY_M}),
     ],
 )

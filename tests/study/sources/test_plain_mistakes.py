@@ -152,6 +152,7 @@ def test_one_of_four_wheels_that_counts_the_wrong_way_and_two_that_are_exchanged
     [
         (lambda rows: trajectory(rows * [1.0, 1.0, 100.0], every=4), "beyond 180 deg turns are lost"),
         (lambda rows: replace(trajectory(rows), yaw_rad=np.zeros(len(rows) + 1)), "they never change"),
+        (lambda rows: trajectory(rows * [1.0, 1.0, 0.0]), "never turns, .* does"),
         (lambda rows: trajectory(np.roll(rows, len(rows) // 2, axis=0) * [0, 0, 1] + 2.2 * rows * [1, 1, 0]), "follow"),
     ],
 )
