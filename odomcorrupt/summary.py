@@ -80,8 +80,8 @@ class Summary(NamedTuple):
     def below(self, report: str) -> Summary:
         """Return what ends a full report: the verdict, what has to be said first and is not in it, the next command."""
         first, *others = self.lines if self.lines[0].tone != "plain" else [Line("", "")]  # a list has no verdict
-        kept = (one for one in others if one.tone == "command" or (one.weight >= FIRST and one.text not in report))
-        return Summary((first, *kept), len(report))
+        new = (o for o in others if o.tone == "command" or (o.weight >= FIRST and o.text.split(" (")[0] not in report))
+        return Summary((first, *new), len(report))
 
     def html(self) -> str:
         """Return the summary as a table for a notebook."""

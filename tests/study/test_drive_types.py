@@ -37,8 +37,7 @@ def half_lost(u, _t_s):
     return np.sign(u) * np.where(np.abs(u) > LIMIT_MPS, (LIMIT_MPS + np.abs(u)) / 2.0, np.abs(u))
 
 
-def in_whole_ticks(u, _t_s):
-    """Return the speed of a wheel whose readings, which shake by a tick, lose their remainder."""
+def in_whole_ticks(u, _t_s):  # of readings that shake by a tick
     return TICK_MPS * np.trunc(u / TICK_MPS + np.random.default_rng(3).uniform(-0.5, 0.5, len(u)))
 
 
