@@ -177,7 +177,7 @@ def test_the_spread_of_a_batch_comes_as_text_as_values_and_as_a_picture(here, ca
     assert run(["spread", "runs", "--json"]) == 0
     shown = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert (shown["runs"], shown["random_effects"]) == (3, ["slip_burst"])
-    table = [line.split() for line in text.splitlines() if line.split()[0].replace(".", "").isdigit()]
+    table = [line.split() for line in text.splitlines() if len(line.split()) == 7 and line[0] == " "]
     assert [float(row[0]) for row in table] == pytest.approx([row["after_m"] for row in shown["rows"]], rel=1e-3)
     assert run(["spread", "runs", "-o", "out.svg"]) == 1
     assert "--overwrite" in capsys.readouterr().err

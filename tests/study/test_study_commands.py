@@ -33,7 +33,7 @@ def test_learned_and_held_out_recordings_keep_their_own_clocks(tmp_path, capsys)
     assert run(["learn", *bags[:2], "--judge", bags[2], "--report", str(report), "-o", str(tmp_path / "r.toml")]) == 0
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("COMPLETE  the robot's model is complete; the odometry is stamped ")
-    assert len(said) <= 8
+    assert len(said) <= 9
     page = report.read_text()
     assert "<h1>What is missing: s1.mcap, s2.mcap, evaluated on s3.mcap</h1>" in page
     assert re.findall(r"<p>of (s\d\.mcap)</p>", page) == ["s1.mcap", "s2.mcap"]

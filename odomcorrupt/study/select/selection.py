@@ -317,7 +317,7 @@ class _Selection:
 
         The course of a bias over one drive is also a function of time, of places that are passed once, or a sum of
         several effects. So the selection is repeated beside a process, from the model without its basis functions and
-        drifts, and from the term with the largest gain alone. If the 10 s error grows, the process imitates effects.
+        drifts, and from the term with the largest gain alone. If it leaves more of several drives, it imitates effects.
         """
         if len(self.fit.random) >= self.decisions.max_correlated:
             return
@@ -327,11 +327,11 @@ class _Selection:
         if len(terms) > _SEVERAL:
             starts.append([self.competing[i].name for i in self._order(self._gains())[:1]])
         best, least = (before, terms, ticking, noise), 0.0
-        most_m = (1.0 + self.decisions.practical.share) * ten_second_error(before)
+        share = self.decisions.practical.share if self.dictionary.recurring else np.inf
+        most_m = (1.0 + share) * ten_second_error(before)
         for kept in starts:
             self.fit = before.refit([e for e in before.effects if e.name in self.given or e.name in kept])
-            self.terms, self.ticking = {name: terms[name] for name in kept}, ticking
-            self.noise = list(noise)
+            self.terms, self.ticking, self.noise = {name: terms[name] for name in kept}, ticking, list(noise)
             if not self._include_process():
                 continue
             self._select()
