@@ -192,7 +192,7 @@ def _check_cuts(effect: Effect) -> None:
             report, states[1] = effect.recorded(steps[rows], motion.t_s[rows], TRACK_M, states[1])
             draw, states[2] = effect.drawn(normals[rows], states[2])
             parts.append((piece, report, draw))
-        first = effect.layer == "record"  # whose f is of whole motions alone
+        first = effect.layer == "record"  # its f is only ever read over a whole motion
         for whole, pieces in list(zip((f, recorded, drawn), zip(*parts, strict=True), strict=True))[first:]:
             same = np.array_equal(np.concatenate(pieces), whole)
             _require(same, effect, f"differs where a motion is cut into pieces of {size}: carry it in the state")

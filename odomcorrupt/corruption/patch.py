@@ -313,7 +313,7 @@ class Patcher:
                 item = target.item
                 edge = f"{plain(item.frame_id)} -> {plain(item.child_frame_id)}"
                 self.changes.edges[edge] += len(target.stamps_ns)
-                self.changes.static.update([edge] * target.channel.topic.endswith("tf_static"))
+                self.changes.static |= {edge} if target.channel.topic.endswith("tf_static") else set()
                 poses = poses_in(block, target.layout, target.item)
                 paths[edge].append((target.layout.rows, planar_poses(poses)))
                 if self._moves:

@@ -170,8 +170,8 @@ class Run:
     """
 
     def __init__(
-        self, model: MotionModel, seed: int, run: int, options: Options, watchers: Iterable[PathWatcher] = (), *, path:
-        PathSource | None = None, systematic: SystematicEffects | None = None,
+        self, model: MotionModel, seed: int, run: int, options: Options, watchers: Iterable[PathWatcher] = (), *,
+        path: PathSource | None = None, systematic: SystematicEffects | None = None,
     ) -> None:  # fmt: skip
         self.drift = DriftMeter()
         self.watchers: list[PathWatcher] = [self.drift, *watchers]

@@ -342,8 +342,8 @@ def _edge(edge: EdgeRecord, frames: Frames | None) -> dict[str, Any]:
 
 
 def _remarks(
-    scan: BagScan, source: OdometryRecord | None, frames: Frames | None, edges: Sequence[EdgeRecord], *, asked_frame:
-    str | None,
+    scan: BagScan, source: OdometryRecord | None, frames: Frames | None, edges: Sequence[EdgeRecord], *,
+    asked_frame: str | None,
 ) -> list[str]:  # fmt: skip
     said = []
     if not scan.odometry and source is not None:
@@ -371,7 +371,7 @@ def _remarks(
         for e in moved if scan.odometry else ():
             path = Alternation()
             path.take(e.xyt[np.argsort(e.stamps_ns, kind="stable")])
-            said += [f"TF {e.parent} -> {e.child}: {path.sentence()}"] * path.alternates
+            said += [f"TF {e.parent} -> {e.child}: {path.sentence()}"] if path.alternates else []
         said += localisation_words({f"{e.parent} -> {e.child}": e.topic for e in edges}, frames)
         if not moved:
             said.append(f"no transform from or to {frames.odom} would move")

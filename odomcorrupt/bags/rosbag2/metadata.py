@@ -33,7 +33,7 @@ _NEW: dict[str, Any] = {
     "ros_distro": "",
 }
 """What a metadata.yaml of version 8 holds, in its order."""
-_FIRST = {"plain names": 4, "files": 5}
+_FIRST_WITH_PLAIN_NAMES, _FIRST_WITH_FILES = 4, 5
 """Versions of metadata.yaml since which names of files have no directory, and the contents of each file are listed."""
 _WITHOUT = "--recover does without it, as if it were removed: the directory's files are read by their names"
 
@@ -104,10 +104,10 @@ def count(
     """State the contents of a bag's files as they were counted, whatever was stated before.
 
     info : the bag information, which is changed
-    storage : mcap or sqlite3
+    storage, mode : mcap or sqlite3; what is compressed
     parts : the files, with their names
     topics : all topics; those that the information lacks are added
-    mode, folder : what is compressed; name of the bag's directory, which old versions put before the files'
+    folder : name of the bag's directory, which old versions put before the files' names
     """
     if not isinstance(info.get("version"), int):
         described = [_topic_entry(topic, hashed=True)["topic_metadata"] for topic in topics]
@@ -120,10 +120,10 @@ def count(
     if mode != "none" or str(info.get("compression_mode") or "none").lower() not in ("none", "storage"):
         info["compression_mode"] = "" if mode == "none" else mode.upper()
         info["compression_format"] = "" if mode == "none" else "zstd"
-    before = f"{folder}/" if folder and info["version"] < _FIRST["plain names"] else ""
+    before = f"{folder}/" if folder and info["version"] < _FIRST_WITH_PLAIN_NAMES else ""
     # a player would open what other names point to: the input
     info["relative_file_paths"] = [before + part.name for part in parts]
-    if info.get("files") or info["version"] >= _FIRST["files"]:
+    if info.get("files") or info["version"] >= _FIRST_WITH_FILES:
         stated = {str(file.get("path")): file for file in info.get("files") or []}
         info["files"] = [stated.get(part.name, {"path": part.name}) for part in parts]
         for file, part in zip(info["files"], parts, strict=True):

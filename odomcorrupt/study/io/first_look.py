@@ -760,13 +760,13 @@ def _aside(look: Look) -> Figures | None:
         usual = np.percentile(np.abs(there[:, 0]), 80.0)
         # where headings of the truth are turned for a while, it moves sideways only as the odometry drives
         apart = (rest > _MOVING * usual) & (np.abs(here[:, 0]) < rest / 2.0)
-        return {"how": "never, unlike"} if apart.mean() > 0.05 and np.std(here[:, 1]) < 0.1 * usual else None
+        return {"how": "never moves sideways, unlike"} if apart.mean() > 0.05 and np.std(here[:, 1]) < 0.1 * usual else None
     size = abs(side.value) / look.scales[0].value
     wrong = not 1.0 / _SKIDS < size < _WRONG
     if not drives or not clear or not look.paths[1].headed or not (wrong or c[1, 1] < 0.0):
         return None
     how = " and ".join(["the other way than"] * int(c[1, 1] < 0.0) + [_far(size)] * wrong)
-    return {"how": how, "undo": _by((1.0, np.copysign(size, c[1, 1]), 1.0))}
+    return {"how": f"moves sideways {how}", "undo": _by((1.0, np.copysign(size, c[1, 1]), 1.0))}
 
 
 def _exchanged(look: Look) -> Figures | None:
@@ -1059,7 +1059,7 @@ PATTERNS = (
     Pattern("turns otherwise",
             "{who} travels as the truth does, but its turns do not follow the truth's (correlation {corr})",
             "degrees given to a tangent or sine; the angle of another joint or axis", _RECORD, "", _turns_otherwise),
-    Pattern("sideways", "{who} moves sideways {how} {other}; forwards they agree",
+    Pattern("sideways", "{who} {how} {other}; forwards they agree",
             "two wheels are exchanged; the sideways part of the kinematics has another sign or factor, or is left out",
             "mend the sideways part", _UNDONE, _aside),
     Pattern("unit of the truth", "{who} travels {far} times as far as {other}, usually at {speed} m/s",

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.io.clock import Clock
+    from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.decisions import Decisions
 
 _OF_ITS_KIND = 2
@@ -93,10 +94,13 @@ class ClockChoice:
         found = [(name, 2 * np.flatnonzero(self.optional[:, i]) + i) for i, name in enumerate(_CLOCKS)]
         return [ClockTerm(name, tuple(which.tolist())) for name, which in found if len(which)]
 
-    def released(self, near: NDArray[np.bool_], leaders: Sequence[int]) -> ClockChoice:
-        """Return the same with those held numbers (R, 2) as terms that are near zero."""
-        leading = (np.array(leaders) == np.arange(len(leaders)))[:, None]
-        return ClockChoice(self.held & ~near, self.optional | (self.held & near & leading))
+    def released(self, clocks: Sequence[Clock], recordings: Sequence[Recording], far_s: float) -> ClockChoice:
+        """Return the same with those held numbers as terms that shift stamps by at most `far_s`: errors are linear."""
+        lasts_s = np.array([float(r.truth_s[-1] - r.truth_s[0]) for r in recordings])
+        shift_s = np.array([(abs(c.offset_s), abs(c.rate) * t) for c, t in zip(clocks, lasts_s, strict=True)])
+        near = self.held & (shift_s <= far_s)
+        leading = (np.array(clock_leaders(recordings)) == np.arange(len(recordings)))[:, None]
+        return ClockChoice(self.held & ~near, self.optional | (near & leading))
 
     def free(self, names: Sequence[str], leaders: Sequence[int]) -> list[tuple[bool, bool]]:
         """Return whether offset and rate of each recording are free in a model with these clock terms."""

@@ -56,8 +56,6 @@ from odomcorrupt.study.work import Work
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.io.recording import Recording
@@ -103,8 +101,7 @@ def learn(
     same_data = all(one is other for one, other in zip(recordings, as_given, strict=True))
     recordings = levelled(recordings, clocks)
     free = np.array(clocks.free, dtype=bool).reshape(-1, 2)
-    near = _near(clocks.clocks, recordings, decisions)
-    choice = ClockChoice(free, np.zeros_like(free)).released(near, clock_leaders(recordings))
+    choice = ClockChoice(free, np.zeros_like(free)).released(clocks.clocks, recordings, decisions.far_clock_s)
     far = [
         Clock(c.offset_s if held[0] else 0.0, c.rate if held[1] else 0.0)
         for c, held in zip(clocks.clocks, choice.held, strict=True)
@@ -126,20 +123,13 @@ def learn(
     )
 
 
-def _near(clocks: Sequence[Clock], recordings: Sequence[Recording], decisions: Decisions) -> NDArray[np.bool_]:
-    """Return which numbers (R, 2) of clocks shift stamps so little that the error is linear in them."""
-    lasts_s = np.array([float(r.truth_s[-1] - r.truth_s[0]) for r in recordings])
-    shift_s = np.array([(abs(c.offset_s), abs(c.rate) * t) for c, t in zip(clocks, lasts_s, strict=True)])
-    return np.asarray(shift_s <= decisions.far_clock_s)
-
-
 @dataclass(slots=True)
 class _Selection:
     """State of a selection in progress.
 
     fit, noise : the current model, and its random effects
     given : names of effects that are not dropped
-    clocks, ticking : the clocks that may be terms, and the names of those in the model
+    clocks : clocks that are held at the beginning, and those that may be terms
     dictionary, terms : all terms so far, and those of the effects in the model by name
     at : the fit that was linearised last
     competing, evidence, search, chosen : terms on that linearisation, their evidence, the search in it, and its own set
@@ -151,7 +141,6 @@ class _Selection:
     decisions: Decisions
     work: Work
     noise: list[DetectedRandomEffect]
-    ticking: tuple[str, ...] = ()
     dictionary: Dictionary = field(init=False)
     terms: dict[str, LibraryTerm | BasisTerm] = field(default_factory=dict)
     at: Fit | None = None
@@ -167,6 +156,12 @@ class _Selection:
     def selected(self) -> list[Effect]:
         """Effects of the model that were not given."""
         return [effect for effect in self.fit.effects if effect.name not in self.given]
+
+    @property
+    def _clocks(self) -> ClockChoice:
+        """The clocks that are held, without those near zero now: an effect of the model explains what they did."""
+        problem = self.fit.problem
+        return self.clocks.released(problem.clocks, problem.recordings, self.decisions.far_clock_s)
 
     def run(self) -> _Selection:
         """Select terms and random processes in turn until neither changes; return self."""
@@ -212,17 +207,13 @@ class _Selection:
         if self.at is self.fit:
             return
         self.at = self.fit
-        problem = self.fit.problem
-        near = self.clocks.held & _near(problem.clocks, problem.recordings, self.decisions)
-        if near.any():  # an effect of the model explains what a clock did
-            self.clocks = self.clocks.released(near, clock_leaders(problem.recordings))
-            self.ticking = tuple(term.name for term in self.clocks.terms() if near.ravel()[list(term.which)].any())
         self.dictionary.extend(self.fit)
         present = self.selected
         own = [self.terms[e.name] for e in present]
         terms = self.dictionary.beside(own)
-        self.competing, self.evidence = linearised(self.fit, present, terms, self.clocks, self.dictionary)
-        ticking = [i for i, t in enumerate(self.competing) if isinstance(t, ClockTerm) and t.name in self.ticking]
+        self.competing, self.evidence = linearised(self.fit, present, terms, self._clocks, self.dictionary)
+        free = np.ravel(self.fit.free_clocks)
+        ticking = [i for i, t in enumerate(self.competing) if isinstance(t, ClockTerm) and free[list(t.which)].any()]
         self.chosen = (*range(len(present)), *ticking)
         self.search = Search.of(self.evidence, self.chosen)
 
@@ -240,7 +231,6 @@ class _Selection:
             if larger is not None and larger.log_likelihood - self.fit.log_likelihood > paid:
                 terms = [self.competing[i] for i in best]
                 self.terms = {t.name: t for t in terms if not isinstance(t, ClockTerm)}
-                self.ticking = tuple(t.name for t in terms if isinstance(t, ClockTerm))
                 self.fit = self._with_shapes(larger.refit())
                 return True
             self.search.refuse(best, self.chosen)
@@ -259,7 +249,7 @@ class _Selection:
                 effects.append(term.effect(own))
             else:
                 effects.append(started(self.fit, term.start, own))
-        free = self.clocks.free(names, clock_leaders(self.fit.problem.recordings))
+        free = self._clocks.free(names, clock_leaders(self.fit.problem.recordings))
         clocks = [
             Clock(clock.offset_s * offset, clock.rate * rate)
             for clock, (offset, rate) in zip(self.fit.problem.clocks, free, strict=True)
@@ -317,21 +307,21 @@ class _Selection:
 
         The course of a bias over one drive is also a function of time, of places that are passed once, or a sum of
         several effects. So the selection is repeated beside a process, from the model without its basis functions and
-        drifts, and from the term with the largest gain alone. If it leaves more of several drives, it imitates effects.
+        drifts, and from the term with the largest gain alone. Of several drives it may leave no larger 10 s error.
         """
         if len(self.fit.random) >= self.decisions.max_correlated:
             return
-        before, terms, ticking, noise = self.fit, self.terms, self.ticking, list(self.noise)
+        before, terms, noise = self.fit, self.terms, list(self.noise)
         named = [name for name, term in terms.items() if not (isinstance(term, BasisTerm) or name in _OF_TIME)]
         starts = [named] if len(named) < len(terms) else []
         if len(terms) > _SEVERAL:
             starts.append([self.competing[i].name for i in self._order(self._gains())[:1]])
-        best, least = (before, terms, ticking, noise), 0.0
+        best, least = (before, terms, noise), 0.0
         share = self.decisions.practical.share if self.dictionary.recurring else np.inf
         most_m = (1.0 + share) * ten_second_error(before)
         for kept in starts:
             self.fit = before.refit([e for e in before.effects if e.name in self.given or e.name in kept])
-            self.terms, self.ticking, self.noise = {name: terms[name] for name in kept}, ticking, list(noise)
+            self.terms, self.noise = {name: terms[name] for name in kept}, list(noise)
             if not self._include_process():
                 continue
             self._select()
@@ -339,8 +329,8 @@ class _Selection:
             numbers = float(np.log(len(before.problem.intervals)))  # two numbers of a process, by half of it each
             gain = likelier - numbers - self._cost(self.terms) + self._cost(terms)
             if gain > least and ten_second_error(self.fit) < most_m:
-                best, least = (self.fit, self.terms, self.ticking, self.noise), gain
-        self.fit, self.terms, self.ticking, self.noise = best
+                best, least = (self.fit, self.terms, self.noise), gain
+        self.fit, self.terms, self.noise = best
         self._linearise()
 
     def _cost(self, terms: Mapping[str, LibraryTerm | BasisTerm]) -> float:
