@@ -54,7 +54,7 @@ OWN = {
     "clock rate": {"factor": 2.0}, "stands still": {"share": "50%"},
     "unit of stamps": {"unit": "milliseconds"},
     "turns too far": {"usual": 4}, "Euler steps": {"at": "beginning", "most": 22},
-    "sideways": {"how": "the other way than"}, "late clock": {"who": "/truth", "side": "behind"},
+    "sideways": {"how": "moves sideways the other way than"}, "late clock": {"who": "/truth", "side": "behind"},
     "forward is y": {"side": "y"}, "never turns one way": {"side": "right"},
     "unit of the truth": {"who": "/truth", "other": "/odom", "unit": "millimetres"},
 }  # fmt: skip

@@ -759,8 +759,8 @@ def _aside(look: Look) -> Figures | None:
         rest = np.abs(there[:, 1:2] - here[:, ::2] @ _linear(here[:, ::2], there[:, 1:2])[0].T)[:, 0]
         usual = np.percentile(np.abs(there[:, 0]), 80.0)
         # where headings of the truth are turned for a while, it moves sideways only as the odometry drives
-        apart = (rest > _MOVING * usual) & (np.abs(here[:, 0]) < rest / 2.0)
-        return {"how": "never moves sideways, unlike"} if apart.mean() > 0.05 and np.std(here[:, 1]) < 0.1 * usual else None
+        off = (rest > _MOVING * usual) & (np.abs(here[:, 0]) < rest / 2.0)
+        return {"how": "never moves sideways, unlike"} if off.mean() > 0.05 and here[:, 1].std() < 0.1 * usual else None
     size = abs(side.value) / look.scales[0].value
     wrong = not 1.0 / _SKIDS < size < _WRONG
     if not drives or not clear or not look.paths[1].headed or not (wrong or c[1, 1] < 0.0):

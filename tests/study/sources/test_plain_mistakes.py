@@ -216,7 +216,7 @@ def test_encoders_without_direction_and_yaw_rates_without_sign_are_refused(heade
 
 def test_travel_sideways_that_is_not_counted():
     rows = driven(14)
-    with pytest.raises(RecordingError, match="/odom moves sideways never, unlike /truth"):
+    with pytest.raises(RecordingError, match="/odom never moves sideways, unlike /truth"):
         first_look(Look((trajectory(rows), real(rows + np.roll(rows, len(rows) // 2, axis=0)[:, [1, 0, 1]]))))
     assert not first_look(Look((trajectory(rows), real(rows + 0.1 * rows[:, [1, 2, 1]])))).mistakes
 
