@@ -217,7 +217,7 @@ class TruncatedCounts(Effect):
     """f of a wheel = step sign(u) / 2: each reading is truncated to whole ticks, and its remainder is lost.
 
     A lost remainder is between nothing and a whole tick, whichever way the wheel turns. Slow wheels are reported as
-    single ticks among zeros, so that u is the mean rim speed around each moment.
+    single ticks among zeros, so u is the mean rim speed around each moment. Without a track, f applies to the body.
     """
 
     name = "truncated_counts"
