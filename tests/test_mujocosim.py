@@ -1,12 +1,17 @@
 """The second judge is judged: without a cause its odometry is good to 0.03 %, with one it is off as the cause says."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 pytest.importorskip("mujoco", reason="mujoco is not installed; pip install mujoco to let it judge the odometry")
 
 from mujocosim import CAUSES, simulate_body
 from mujocosim.body import RADIUS_M, TRACK_M
+
 from odomcorrupt.simulation import Rig, Segment, SimulatedRun, Tracker
 
 RIG = Rig(sampling_jitter_s=0.0, stamp_jitter_s=0.0, ticks_per_turn=None, motor_ripple=0.0, creep=0.0)

@@ -45,12 +45,16 @@ def office(rate_hz=50.0, seconds=40.0):
     return stamps(len(t), rate_hz), np.column_stack((x, y, theta))
 
 
-def error_in_any_cut(chosen, t, poses, size=41):
-    """Return the errors (n, 3) of a drive, which are the same when it comes in pieces."""
-    path, whole = NoisyPath(chosen, 4), NoisyPath(chosen, 4).feed(t, poses).error_xyt
-    pieces = [path.feed(t[i : i + size], poses[i : i + size]).error_xyt for i in range(0, len(t), size)]
-    assert np.array_equal(np.concatenate(pieces), whole)
-    return whole
+def error_in_any_cut(chosen, t, poses, most=80):
+    """Return the errors (n, 3) of a drive; all that is said of it is the same when it comes in pieces below a size."""
+    path, whole = NoisyPath(chosen, 4), NoisyPath(chosen, 4).feed(t, poses)
+    ends = np.cumsum(np.random.default_rng(most).integers(0, most, 2 * len(t)))
+    places = [0, *ends[ends < len(t)], len(t)]
+    pieces = [path.feed(t[start:stop], poses[start:stop]) for start, stop in pairwise(places)]
+    for name in ("error_xyt", "correction_xyt", "travelled_m", "sums"):
+        together = np.concatenate([getattr(piece, name) for piece in pieces], axis=-1 if name == "sums" else 0)
+        assert np.array_equal(together, getattr(whole, name)), name
+    return whole.error_xyt
 
 
 def fold(angle):

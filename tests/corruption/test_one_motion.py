@@ -404,6 +404,7 @@ def inconsistencies(kind: Kind, before, after, start_rad: float):
         ("twist", twist_cov[moving], twist_cov0[moving], (twist - twist0)[moving]),
     ):
         claim(np.linalg.eigvalsh(C)[:, 0].min() > -1e-4, f"{name} covariances are positive")
+        claim(np.abs(C - np.swapaxes(C, 1, 2)).max() < 1e-9, f"{name} covariances are symmetric")
         claim(np.diagonal(C, axis1=1, axis2=2).min() > 0.0, f"no {name} variance is zero")
         beyond = np.maximum(np.abs(e) - (shorter[moving, None] if name == "twist" else 0.0), 0.0)
         ratio = np.square(beyond) / np.diagonal(C, axis1=1, axis2=2)

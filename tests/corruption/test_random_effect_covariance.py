@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from bagged import IMU, ODOM, TF, MemoryBag, blocks_of, read, robot
-from drives import model, office, silent
+from drives import error_in_any_cut, model, office, silent
 
 from odomcorrupt.corruption.covariance import SUMS, has_random_part, pose_covariance
 from odomcorrupt.corruption.path import NoisyPath
@@ -54,12 +54,7 @@ def test_covariance_is_calibrated_about_the_mean_of_the_runs(which):
 
 @pytest.mark.parametrize("which", RANDOM)
 def test_any_cut_into_batches_gives_the_same_bits(which):
-    t, poses = office(10.0, 20.0)
-    whole = NoisyPath(chosen(which), 5).feed(t, poses)
-    path, parts = NoisyPath(chosen(which), 5), []
-    for start, stop in ((0, 1), (1, 7), (7, 7), (7, 120), (120, len(t))):
-        parts.append(path.feed(t[start:stop], poses[start:stop]).sums)
-    assert np.array_equal(whole.sums, np.concatenate(parts, axis=1))
+    error_in_any_cut(chosen(which), *office(10.0, 20.0))
 
 
 def test_a_new_stretch_begins_with_no_uncertainty_but_a_bias_that_has_wandered():

@@ -1,12 +1,10 @@
-"""Fuzz everything that is read, guided by coverage (atheris): `python tests/hostile/coverage_fuzz.py --seconds 3600`.
+"""Fuzz everything that is read, guided by coverage (atheris): `python benchmarks/coverage_fuzz.py --seconds 3600`.
 
 The property is stronger than "no traceback": where a bag is rewritten, what an independent reader gets from it beside
 odometry and TF (messages, times, attachments, metadata) is what it gets from the input. A refusal is one line of the
 project's own error, within 512 MB and 20 s. Prints what was tried and what was found as JSON; inputs that broke a
 promise are kept in --keep, and `--again FILE` tries one of them.
 """
-
-# ruff: noqa: T201 - a script that prints
 
 import argparse
 import json
