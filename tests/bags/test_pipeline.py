@@ -2,9 +2,7 @@
 
 import io
 import threading
-import time
 
-import numpy as np
 import pytest
 
 from odomcorrupt.bags import pipeline
@@ -74,26 +72,6 @@ def test_a_pipe_stays_open_when_the_source_closes():
     assert not stream.closed
 
 
-@pytest.mark.parametrize("threads", [1, 2, 4])
-def test_results_are_taken_in_the_order_in_which_calls_were_put(threads):
-    rng = np.random.default_rng(1)
-    waits_s = rng.uniform(0.0, 0.003, 100)
-    taken = []
-    with Workers(threads) as workers:
-        results = OrderedResults(workers)
-        for number, wait_s in enumerate(waits_s):
-
-            def call(number=number, wait_s=wait_s):
-                time.sleep(wait_s)
-                return number
-
-            results.put(call, taken.append, 1)
-            if number % 10 == 5:
-                results.put_behind(lambda number=number: taken.append(number + 0.5))
-        results.finish()
-    assert taken == sorted([*range(100), *(number + 0.5 for number in range(5, 100, 10))])
-
-
 def test_what_is_put_behind_does_not_wait_for_ever(monkeypatch):
     monkeypatch.setattr(pipeline, "WAITING_BYTES", 10)
     go, taken = threading.Event(), []
@@ -106,20 +84,3 @@ def test_what_is_put_behind_does_not_wait_for_ever(monkeypatch):
             assert number + 2 - len(taken) <= 10
         results.finish()
     assert taken == [True, *range(100)]
-
-
-@pytest.mark.parametrize("threads", [1, 2])
-def test_an_error_of_a_call_is_raised_in_its_turn(threads):
-    taken = []
-
-    def fail():
-        raise ValueError("no such level")
-
-    with Workers(threads) as workers:
-        results = OrderedResults(workers)
-        with pytest.raises(ValueError, match="no such level"):  # noqa: PT012 - at the latest at the end
-            results.put(lambda: 1, taken.append, 1)
-            results.put(fail, taken.append, 1)
-            results.put(lambda: 3, taken.append, 1)
-            results.finish()
-    assert taken == [1]

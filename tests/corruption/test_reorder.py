@@ -30,24 +30,6 @@ def run(new, cuts):
     return [np.concatenate([part.stamps_ns for part in parts]) / S for parts in stretches], order
 
 
-def test_messages_swapped_within_a_second_are_sorted():
-    t = np.arange(50) / 10
-    swapped = t.copy()
-    swapped[[10, 17]] = swapped[[17, 10]]
-    for cuts in ([], [11], [5, 12, 15, 17, 18, 40]):
-        (out,), order = run(arrivals(swapped, t), cuts)
-        assert np.array_equal(out, t)
-        assert (order.late, order.restarts) == (0, 0)
-
-
-def test_a_jump_back_of_more_than_a_second_begins_a_stretch():
-    t = np.arange(50) / 10
-    for cuts in ([], [50], [49, 51], [20, 60]):
-        out, order = run(arrivals(np.concatenate((t, t)), np.arange(100) / 10), cuts)
-        assert [len(part) for part in out] == [50, 50]
-        assert order.restarts == 1
-
-
 def test_nothing_is_released_that_a_later_message_may_precede():
     order = TimeOrder()
     order.add(arrivals([0.0, 0.4, 0.9], [0.0, 0.4, 0.9]))

@@ -65,7 +65,7 @@ def gaussian_windows(seed, count, scale=1.0):
 def test_at_every_length_of_path_and_in_every_check_a_right_model_keeps_its_level():
     looks, inside, rejected, failing = {}, [], [], []
     for seed in range(120):
-        piece = judged(seed, 300.0)
+        piece = judged(seed, 150.0)
         horizons = horizons_of([piece], (1.0, 2.0, 5.0, 10.0, 20.0))
         pits, whiteness = pits_of(piece.chains()), whiteness_of(piece.chains())
         for h in horizons:
@@ -258,7 +258,7 @@ def test_sizes_are_written_as_people_write_them(channel, value, text):
 
 
 def replayed(seed, model=RIGHT, runs=60):
-    return replay(judged(seed, 60.0, model), runs=runs)
+    return replay(judged(seed, 30.0, model), runs=runs)
 
 
 def inside(model, parts, drives):

@@ -55,7 +55,7 @@ def test_a_wheel_that_scrubs_in_turns_to_one_side_is_found_as_such():
 
 @pytest.mark.slow
 def test_every_basis_function_says_in_its_expression_what_it_computes():
-    motion = driving_motion(as_recording(simulate(73, None, duration_s=100.0)), "odometry")
+    motion = driving_motion(as_recording(simulate(73, None, duration_s=40.0)), "odometry")
     seen, checked = views(motion), set()
     for function in basis_functions([motion])[::6]:
         values = (0.3, -0.2)[: len(function.parts)]
