@@ -31,12 +31,10 @@ def called(words, *, redirected="", env=None):
     return done.returncode, done.stdout.decode(), done.stderr.decode()
 
 
-@pytest.mark.parametrize("unbuffered", [False, True])
-@pytest.mark.parametrize("words", WORDS.values(), ids=WORDS)
+@pytest.mark.parametrize(("kind", "more"), [*((kind, {}) for kind in WORDS), ("bag", {"PYTHONUNBUFFERED": "1"})])
 @pytest.mark.parametrize(("redirected", "reason"), [("> /dev/full", "No space left"), (">&-", "Bad file descriptor")])
-def test_a_stdout_that_takes_nothing_is_said_in_a_line(words, redirected, reason, unbuffered):
-    env = WITHOUT | ({"PYTHONUNBUFFERED": "1"} if unbuffered else {})
-    code, _, said = called(words, redirected=redirected, env=env)
+def test_a_stdout_that_takes_nothing_is_said_in_a_line(kind, redirected, reason, more):
+    code, _, said = called(WORDS[kind], redirected=redirected, env=WITHOUT | more)
     assert code == 1
     assert said.startswith(f"odomcorrupt: stdout: cannot be written: {reason}")
     assert said.count("\n") == 1, said

@@ -6,8 +6,8 @@ Bags are generated over storage, writer, number of parts and damage; what is sav
 import shutil
 from collections import Counter
 from functools import cache
+from itertools import product
 
-import numpy as np
 import pytest
 import zstandard
 from oracles import count_of, info_of
@@ -15,16 +15,16 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
-from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 from test_recover import recover
 
 import odomcorrupt as oc
+import rosmessages
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.cli import run
 from odomcorrupt.errors import BagError
+from rosmessages import STORES, serialised
 
-STORES = {1: get_typestore(Stores.ROS1_NOETIC), 2: get_typestore(Stores.ROS2_HUMBLE)}
 SUFFIXES = {"sqlite3": ".db3", "mcap": ".mcap", "ros1": ".bag"}
 EACH = 20
 T0_NS = 1_700_000_000 * 10**9
@@ -34,28 +34,13 @@ ODOMETRY, TEXT = "nav_msgs/msg/Odometry", "std_msgs/msg/String"
 @cache
 def odometry(number, ros):
     """Return a serialised message of a robot that drives straight on, 0.05 m for each number."""
-    types = STORES[ros].types
-    stamp = types["builtin_interfaces/msg/Time"](sec=1_700_000_000 + number // 10, nanosec=number % 10 * 10**8)
-    seq = {"seq": number} if ros == 1 else {}
-    header = types["std_msgs/msg/Header"](**seq, stamp=stamp, frame_id="odom")
-    vector, zeros = types["geometry_msgs/msg/Vector3"], np.zeros(36)
-    pose = types["geometry_msgs/msg/Pose"](
-        position=types["geometry_msgs/msg/Point"](x=0.05 * number, y=0.0, z=0.0),
-        orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
-    )
-    twist = types["geometry_msgs/msg/Twist"](linear=vector(x=0.5, y=0.0, z=0.0), angular=vector(x=0.0, y=0.0, z=0.0))
-    message = types[ODOMETRY](
-        header=header,
-        child_frame_id="base_link",
-        pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=zeros),
-        twist=types["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=zeros),
-    )
-    return bytes((STORES[ros].serialize_ros1 if ros == 1 else STORES[ros].serialize_cdr)(message, ODOMETRY))
+    place, ahead = (0.05 * number, 0.0, 0.0), (0.5, *[0.0] * 5)
+    stamp_ns = T0_NS + number * 10**8
+    return serialised(ros, rosmessages.odometry(ros, stamp_ns, place, (0.0, 0.0, 0.0, 1.0), speeds=ahead))
 
 
 def text(number, ros):
-    message = STORES[ros].types[TEXT](data=f"{number}")
-    return bytes((STORES[ros].serialize_ros1 if ros == 1 else STORES[ros].serialize_cdr)(message, TEXT))
+    return serialised(ros, rosmessages.new(ros, "std_msgs/String", f"{number}"))
 
 
 def write_part(path, storage, numbers):
@@ -140,11 +125,11 @@ def whole(tmp_path_factory):
     return copied
 
 
-@pytest.mark.parametrize(
-    ("at", "parts", "writer", "described"),
-    [(0, 2, "rosbags", True), (1, 3, "odomcorrupt", True), (10, 11, "rosbags", False), (5, 11, "rosbags", False)],
-)
-@pytest.mark.parametrize("harm", FILE_DAMAGE)
+FEW, MANY = [(0, 2, "rosbags", True), (1, 3, "odomcorrupt", True)], [(at, 11, "rosbags", False) for at in (10, 5)]
+DAMAGED = [*product(FILE_DAMAGE, FEW), *product(("is gone", "is cut"), MANY)]
+
+
+@pytest.mark.parametrize(("harm", "at", "parts", "writer", "described"), [(harm, *kind) for harm, kind in DAMAGED])
 @pytest.mark.parametrize("storage", SUFFIXES)
 def test_all_messages_of_the_other_parts_are_saved_and_the_loss_is_said(
     storage, harm, at, parts, writer, described, whole, tmp_path

@@ -59,7 +59,7 @@ def test_moments_agree_with_the_textbook_loop(law, drive):
     [(law, None) for law in LAWS] + [(law, "0.25m,0.2rad") for law, rule in LAWS.items() if rule.per_step],
 )
 def test_any_cut_into_batches_gives_the_same_bits(law, step):
-    for most in (2, 9, 80, 700):
+    for most in (2, 40):
         error_in_any_cut(model(law, step=step, effects=EFFECTS, track_m=0.5), *office(15.0, 20.0), most)
 
 
@@ -198,7 +198,7 @@ def test_white_noise_on_twists_is_the_rob521_projects():
     assert errors[:, 1].std() < 0.01
 
 
-@pytest.mark.parametrize("rate_hz", [10.0, 50.0])
+@pytest.mark.parametrize("rate_hz", [5.0, 20.0])
 @pytest.mark.parametrize("law", ["diffusion", "quadratic"])
 def test_the_angle_random_walk_of_a_gyro_grows_with_time_at_any_rate_and_at_rest(law, rate_hz):
     n = round(8.0 * rate_hz) + 1

@@ -1,62 +1,49 @@
 """Bags with what a robot without motion capture has: odometry, gyro, wheel angles, laser scans and where these sit."""
 
 import numpy as np
-from mcap.writer import Writer
-from rosbags.typesys import Stores, get_typestore
 
-STORE = get_typestore(Stores.ROS2_HUMBLE)
+import rosmessages
+
 START_NS = 1_700_000_000_000_000_000
 
 
 def new(kind, *fields):
-    package, _, name = kind.partition("/")
-    return STORE.types[f"{package}/msg/{name}"](*fields)
+    return rosmessages.new(2, kind, *fields)
 
 
 def header(stamp_ns, frame):
-    return new("std_msgs/Header", new("builtin_interfaces/Time", *divmod(int(stamp_ns), 10**9)), frame)
+    return rosmessages.header(2, stamp_ns, frame)
 
 
 def vector(*xyz):
-    return new("geometry_msgs/Vector3", *map(float, xyz))
+    return rosmessages.floats(2, "Vector3", xyz)
 
 
 def turned(yaw, roll=0.0):
-    """A quaternion of a yaw, after a roll about x."""
+    """The quaternion xyzw of a yaw, after a roll about x."""
     c, s, cr, sr = np.cos(yaw / 2), np.sin(yaw / 2), np.cos(roll / 2), np.sin(roll / 2)
-    return new("geometry_msgs/Quaternion", float(c * sr), float(s * sr), float(s * cr), float(c * cr))
+    return c * sr, s * sr, s * cr, c * cr
 
 
 def odometry(stamps_ns, xyt, topic="/odom"):
-    nothing = np.zeros(36)
-    still = new(
-        "geometry_msgs/TwistWithCovariance", new("geometry_msgs/Twist", vector(0, 0, 0), vector(0, 0, 0)), nothing
-    )
     for stamp, (x, y, yaw) in zip(stamps_ns, xyt, strict=True):
-        pose = new("geometry_msgs/Pose", new("geometry_msgs/Point", float(x), float(y), 0.0), turned(yaw))
-        claimed = new("geometry_msgs/PoseWithCovariance", pose, nothing)
-        yield (
-            int(stamp),
-            topic,
-            "nav_msgs/Odometry",
-            new("nav_msgs/Odometry", header(stamp, "odom"), "base_link", claimed, still),
-        )
+        yield int(stamp), topic, rosmessages.odometry(2, stamp, (x, y, 0.0), turned(yaw))
 
 
 def imu(stamps_ns, rates, topic="/imu/data"):
-    nine = np.zeros(9)
+    nine, level = np.zeros(9), rosmessages.floats(2, "Quaternion", turned(0.0))
     for stamp, rate in zip(stamps_ns, rates, strict=True):
         message = new(
-            "sensor_msgs/Imu", header(stamp, "imu"), turned(0.0), nine, vector(*rate), nine, vector(0, 0, 9.8), nine
+            "sensor_msgs/Imu", header(stamp, "imu"), level, nine, vector(*rate), nine, vector(0, 0, 9.8), nine
         )
-        yield int(stamp), topic, "sensor_msgs/Imu", message
+        yield int(stamp), topic, message
 
 
 def joints(stamps_ns, names, angles, topic="/joint_states"):
     none = np.zeros(0)
     for stamp, row in zip(stamps_ns, angles, strict=True):
         message = new("sensor_msgs/JointState", header(stamp, ""), list(names), np.array(row, float), none, none)
-        yield int(stamp), topic, "sensor_msgs/JointState", message
+        yield int(stamp), topic, message
 
 
 def scans(stamps_ns, ranges, topic="/scan", *, turn_s=0.0, view=2 * np.pi, most=8.0, frame="laser", increment=True):
@@ -71,7 +58,7 @@ def scans(stamps_ns, ranges, topic="/scan", *, turn_s=0.0, view=2 * np.pi, most=
             "sensor_msgs/LaserScan", header(stamp, frame), -view / 2, view / 2 - step, step,
             turn_s / beams * increment, turn_s, 0.05, float(most), np.asarray(row, np.float32), np.zeros(0, np.float32),
         )  # fmt: skip
-        yield int(stamp), topic, "sensor_msgs/LaserScan", message
+        yield int(stamp), topic, message
 
 
 def clouds(stamps_ns, points, topic="/points", frame="laser"):
@@ -82,30 +69,17 @@ def clouds(stamps_ns, points, topic="/points", frame="laser"):
         message = new(
             "sensor_msgs/PointCloud2", header(stamp, frame), 1, len(xyz), fields, False, 12, 12 * len(xyz), data, True
         )  # fmt: skip
-        yield int(stamp), topic, "sensor_msgs/PointCloud2", message
+        yield int(stamp), topic, message
 
 
 def sits(frame="laser", x=0.0, y=0.0, yaw=0.0, roll=0.0, at_ns=START_NS):
     """The TF that says where a sensor sits."""
-    transform = new("geometry_msgs/Transform", vector(x, y, 0.2), turned(yaw, roll))
-    one = new("geometry_msgs/TransformStamped", header(at_ns, "base_link"), frame, transform)
-    yield int(at_ns), "/tf_static", "tf2_msgs/TFMessage", new("tf2_msgs/TFMessage", [one])
+    edge = rosmessages.edge(2, at_ns, "base_link", frame, (x, y, 0.2), turned(yaw, roll))
+    yield int(at_ns), "/tf_static", rosmessages.tree(2, edge)
 
 
 def write(path, *groups, late_ns=None):
     """Write the messages of groups to an MCAP file; late_ns(topic): how long after its stamp each is recorded."""
     messages = sorted((m for group in groups for m in group), key=lambda m: m[0])
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start(profile="ros2")
-        channels = {}
-        for stamp, topic, kind, value in messages:
-            full = kind.replace("/", "/msg/")
-            if topic not in channels:
-                text, _ = STORE.generate_msgdef(full, ros_version=2)
-                schema = writer.register_schema(full, "ros2msg", text.encode())
-                channels[topic] = writer.register_channel(topic, "cdr", schema)
-            log = stamp + (0 if late_ns is None else late_ns(topic))
-            writer.add_message(channels[topic], log, bytes(STORE.serialize_cdr(value, full)), log)
-        writer.finish()
-    return path
+    rows = ((stamp + (late_ns(topic) if late_ns else 0), topic, message) for stamp, topic, message in messages)
+    return rosmessages.write(path, rows)

@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 from mcap.writer import Writer
-from packed import ROS2, grid, scan
+from packed import grid, scan
 
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import BagError, MapError, RecordingError, TopicError
@@ -15,6 +15,7 @@ from odomcorrupt.mapping.messages import read_grid, read_scan
 from odomcorrupt.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, read_map
 from odomcorrupt.mapping.scan_map import read_rays, slow_rays
 from odomcorrupt.trajectories import Drive
+from rosmessages import STORES
 
 SCAN, GRID = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/OccupancyGrid"
 MOUNT = mount_at(np.zeros(3))
@@ -26,7 +27,7 @@ def bag(path, *topics):
         writer = Writer(stream)
         writer.start(profile="ros2", library="test")
         for name, msgtype, messages in topics:
-            text = ROS2.generate_msgdef(msgtype, ros_version=2)[0]
+            text = STORES[2].generate_msgdef(msgtype, ros_version=2)[0]
             channel = writer.register_channel(name, "cdr", writer.register_schema(msgtype, "ros2msg", text.encode()))
             for number, data in enumerate(messages):
                 writer.add_message(channel, (5 + number) * 10**9, data, 0)

@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mcap.writer import Writer
 from simulated_manoeuvres import (
     CIRCLE_LEFT,
     CIRCLE_RIGHT,
@@ -21,6 +20,7 @@ from simulated_manoeuvres import (
     way_m,
 )
 
+import rosmessages
 from odomcorrupt.errors import BagError, TopicError
 from odomcorrupt.simulation import (
     CAUSES,
@@ -283,26 +283,13 @@ def test_umbmark_closes_its_squares_and_turns_round_after_five():
 
 
 def write_commands(path, rows, kind="Twist", topic="/cmd_vel"):
-    types = STORE.types
-    typename = f"geometry_msgs/msg/{kind}"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start("ros2", "test")
-        text, _ = STORE.generate_msgdef(typename, ros_version=2)
-        schema = writer.register_schema(typename, "ros2msg", text.encode())
-        channel = writer.register_channel(topic, "cdr", schema)
-        vector = types["geometry_msgs/msg/Vector3"]
-        for t, v, omega in rows:
-            message = types["geometry_msgs/msg/Twist"](
-                linear=vector(x=v, y=0.0, z=0.0), angular=vector(x=0.0, y=0.0, z=omega)
-            )
-            if kind == "TwistStamped":
-                stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
-                header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
-                message = types[typename](header=header, twist=message)
-            stamp_ns = round(1e9 * t) + 10**18
-            writer.add_message(channel, stamp_ns, bytes(STORE.serialize_cdr(message, typename)), stamp_ns)
-        writer.finish()
+    messages = []
+    for t, v, omega in rows:
+        message = rosmessages.twist(2, (v, 0.0, 0.0, 0.0, 0.0, omega))
+        if kind == "TwistStamped":
+            message = rosmessages.new(2, "geometry_msgs/TwistStamped", rosmessages.header(2, 0, ""), message)
+        messages.append((round(1e9 * t) + 10**18, topic, message))
+    rosmessages.write(path, messages)
 
 
 @pytest.mark.parametrize("kind", ["Twist", "TwistStamped"])
@@ -324,9 +311,9 @@ def test_base_obeys_no_faster_than_it_can():
 
 
 def test_bag_without_commands_says_what_it_has(tmp_path):
-    write_commands(tmp_path / "other.mcap", [], topic="/other")
-    with pytest.raises(TopicError, match="other"):
-        read_commands(tmp_path / "other.mcap")
+    rosmessages.write(tmp_path / "no.mcap", [(1, "/other", rosmessages.new(2, "std_msgs/String", "go"))])
+    with pytest.raises(TopicError, match="found /other"):
+        read_commands(tmp_path / "no.mcap")
     write_commands(tmp_path / "two.mcap", [(0.0, 0.1, 0.0)], topic="/joy_vel")
     assert read_commands(tmp_path / "two.mcap").v_mps.tolist() == [0.1]
     (tmp_path / "no.mcap").write_bytes(b"no bag")

@@ -10,12 +10,11 @@ from hidden import as_recording
 from sourcedrive import START_NS, Rows, odometry, samples, truth
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.cli import run as command
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import Increments, accumulate, compose, increments
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.brief import mistakes_first
-from odomcorrupt.simulation import Segment, Tracker, simulate, write_mcap
+from odomcorrupt.simulation import Segment, Tracker, simulate
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.io.first_look import Look, Witness, factors_of, first_look, mistakes_alone
 from odomcorrupt.study.io.plausibility import check_together, cross_correlation
@@ -453,16 +452,6 @@ def test_the_truth_of_another_drive_is_refused(drives, headed):
         refused = pytest.raises(RecordingError, match="/truth: does not move as /odom does")
         with nullcontext() if one is other else refused:
             check(one.odometry, other.truth, headed=headed)
-
-
-def test_the_command_says_so_in_one_line(tmp_path, capsys):
-    for seed in (41, 42):
-        write_mcap(simulate(seed, None, duration_s=120.0), tmp_path / f"{seed}.mcap")
-    mixed = ["fit", str(tmp_path / "41.mcap"), "--truth-bag", str(tmp_path / "42.mcap"), "--truth", "/ground_truth"]
-    assert command([*mixed, "--odom", "/odom"]) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "/ground_truth: does not move as /odom does (speeds correlate by 0." in line
-    assert line.endswith("name the truth of this run")
 
 
 def test_a_truth_that_is_silent_for_a_minute_is_compared_where_it_is_seen(drives):

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer
 from scipy.spatial.transform import Rotation, Slerp
-from sourcebags import SHORT, STORES, both, edges, make, topic, write
+from sourcebags import both, edges, make, topic, write
 from sourcedrive import START_NS, Rows, odometry, truth
 
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.study.io import Source, read_runs
+from rosmessages import STORES, serialised
 
 
 def same(trajectory, rows, tolerance=1e-12):
@@ -82,12 +83,12 @@ def test_a_topic_of_two_publishers_is_read_whole(tmp_path):
     sent = topic("/odom", "Odometry", moved) + topic("/truth", "PoseStamped", truth())
     with Writer(tmp_path / "run.bag") as writer:
         connections = {
-            (name, who): writer.add_connection(name, SHORT[kind], typestore=STORES[1], callerid=who)
-            for name, kind in (("/odom", "Odometry"), ("/truth", "PoseStamped"))
+            (name, who): writer.add_connection(name, kind, typestore=STORES[1], callerid=who)
+            for name, kind in (("/odom", "nav_msgs/msg/Odometry"), ("/truth", "geometry_msgs/msg/PoseStamped"))
             for who in ("/one", "/other")
         }
         for i, message in enumerate(sent):
-            data = STORES[1].serialize_ros1(make(1, *message.value), SHORT[message.kind])
+            data = serialised(1, make(1, *message.value))
             who = "/other" if message.topic == "/odom" and i >= 350 else "/one"
             writer.write(connections[message.topic, who], message.log_ns, data)
     (recording,) = read_runs(Source(tmp_path / "run.bag"))
