@@ -193,10 +193,6 @@ def on_the_way(recording, edge_s=5.0):
     return replace(recording, odometry=odometry, truth=within(recording.truth), origin_ns=int(odometry.stamps_ns[0]))
 
 
-def learned_from(cause, route, **options):
-    return learn([as_recording(simulate(3, cause, route=route, duration_s=route.duration_s, **options))])
-
-
 @pytest.mark.slow
 def test_a_clock_that_was_not_put_to_the_test_is_reported():
     route = steadily(0.5, 0.0, 120.0)
