@@ -121,12 +121,12 @@ def test_a_compass_that_iron_turns_shows_as_an_error_per_radian_over_the_heading
 @pytest.mark.slow
 def test_the_law_of_a_cause_that_no_library_has_brings_the_error_down():
     seed, cause = 82, "floor_grain"
-    options = {"robot_seed": seed, "size": 2.0}
+    options = {"robot_seed": seed, "size": 2.0, "duration_s": 300.0}
     learned = learn([as_recording(simulate(seed, cause, **options))])
     assert (learned.unknown[0].channel, learned.unknown[0].regressor) == ("across", "heading")
     assert learned.laws == learned.unknown[:1]
-    judged = as_recording(simulate(seed + 100, cause, duration_s=300.0, **options))
-    floor = ten_second_error([as_recording(simulate_without(seed + 100, cause, duration_s=300.0, **options))])
+    judged = as_recording(simulate(seed + 100, cause, **options))
+    floor = ten_second_error([as_recording(simulate_without(seed + 100, cause, **options))])
     after = ten_second_error([judged], learned.fit.effects)
     assert after < 1.25 * floor
     assert ten_second_error([judged]) > 1.3 * floor

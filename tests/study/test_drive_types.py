@@ -127,7 +127,8 @@ def test_a_car_and_a_commanded_robot_with_nothing_wrong_have_no_name():
     ],
 )
 def test_wheels_show_their_flaw_and_their_track_where_nobody_said_it(true_of, reported_of, name, values):
-    learned = learn([hobby(1, true_of, reported_of=reported_of)])
+    seconds = 300.0 if name in ("scale_drift", "counts_lost") else 200.0
+    learned = learn([hobby(1, true_of, seconds, reported_of=reported_of)])
     effect, error = only(learned)
     assert effect.name == name
     for parameter, value in values.items():
@@ -141,7 +142,7 @@ def test_wheels_show_their_flaw_and_their_track_where_nobody_said_it(true_of, re
 @pytest.mark.slow
 def test_motors_that_follow_commands_late_are_no_late_clock():
     tau_s = 0.2
-    learned = learn([hobby(1, lambda u, _t_s: lagged(u, tau_s))])
+    learned = learn([hobby(1, lambda u, _t_s: lagged(u, tau_s), 200.0)])
     effect, error = only(learned)
     assert effect.name == "motor_lag"
     assert effect.tau == pytest.approx(tau_s, abs=max(SURE * error, 0.01))

@@ -144,7 +144,7 @@ def test_a_drive_too_short_to_be_halved_tests_nothing_and_drops_nothing():
 
 @pytest.mark.slow
 def test_what_no_odometry_satisfies_is_left_out_and_the_others_are_refitted(monkeypatch):
-    run = as_recording(simulate(5, ["unequal_wheels", "wheelbase"], duration_s=240.0))
+    run = as_recording(simulate(5, ["unequal_wheels", "wheelbase"], duration_s=150.0))
     checked = pipeline.verified_model
 
     def without_wheelbase(model, recordings):

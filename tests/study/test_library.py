@@ -54,9 +54,10 @@ def test_the_right_effect_is_first_and_the_held_out_error_falls_to_its_floor():
     right, ratios = [], []
     for seed in SEEDS:
         cause = np.random.default_rng((7, seed)).choice(CAUSES)
-        run = simulate(seed, cause, duration_s=600.0)
+        run = simulate(seed, cause, duration_s=300.0)
         learned = learn([as_recording(run)])
         right.append(first_name(learned) == cause)
+        assert cause != "time_offset" or not learned.added, "a late clock is no slip and no play"
         # another drive of the same robot, with the flaw and without it
         options = {"duration_s": 300.0, "robot_seed": seed}
         judged = as_recording(simulate(seed + 1000, cause, **options))
@@ -70,7 +71,7 @@ def test_the_right_effect_is_first_and_the_held_out_error_falls_to_its_floor():
 
 @pytest.mark.slow
 def test_nothing_is_added_where_nothing_is_hidden():
-    added = [learn([as_recording(simulate(seed, None, duration_s=600.0))]) for seed in SEEDS[:3]]
+    added = [learn([as_recording(simulate(seed, None, duration_s=300.0))]) for seed in SEEDS[:3]]
     quiet = [not learned.added and learned.fit.problem.clocks == (Clock(),) for learned in added]
     assert all(quiet)
 
@@ -82,10 +83,15 @@ SYSTEMATIC = (
 RANDOM = ("gauss_markov", "gyro_bias_walk", "lost_increments", "quantization", "slip_burst")
 
 
+def long_enough(cause: str) -> float:
+    """Return for how long, in seconds, this robot drives until the cause is told from its rivals."""
+    return 600.0 if cause in ("unequal_wheels", "gauss_markov") else 300.0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("cause", SYSTEMATIC)
 def test_a_systematic_cause_is_named_first(cause):
-    learned = learn([as_recording(simulate(1, cause))])
+    learned = learn([as_recording(simulate(1, cause, duration_s=long_enough(cause)))])
     assert learned.added[:1] == (registry()[cause].aliased_with or cause,)
     if registry()[cause].aliased_with is not None:
         assert cause in learned.rounds[0].alternatives
@@ -94,14 +100,14 @@ def test_a_systematic_cause_is_named_first(cause):
 @pytest.mark.slow
 @pytest.mark.parametrize("cause", RANDOM)
 def test_a_random_cause_is_named_as_noise_and_nothing_else_is(cause):
-    learned = learn([as_recording(simulate(1, cause))])
+    learned = learn([as_recording(simulate(1, cause, duration_s=long_enough(cause)))])
     assert [gain.effect.name for gain in learned.noise] == [cause]
     assert learned.added == ()
 
 
 @pytest.mark.slow
 def test_a_clock_that_runs_fast_is_named_before_anything_else():
-    learned = learn([as_recording(simulate(1, "clock_skew"))])
+    learned = learn([as_recording(simulate(1, "clock_skew", duration_s=300.0))])
     assert learned.clocks.free[0][1]
     assert learned.added == ()
     assert learned.noise == ()
@@ -327,5 +333,5 @@ def kept_on_a_line(seed: int, seconds: float = 600.0):
 
 @pytest.mark.slow
 def test_nothing_is_learned_from_a_driver_who_steers_back():
-    learned = learn([kept_on_a_line(4)])
+    learned = learn([kept_on_a_line(4, 300.0)])
     assert (learned.added, learned.laws) == ((), ())  # a function of the time of one drive is reported alone

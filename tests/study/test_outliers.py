@@ -189,19 +189,10 @@ def test_a_truth_that_is_elsewhere_for_seconds_and_comes_back_is_no_noise_of_the
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("cause", "yaw_from", "seed"),
-    [
-        ("heavy_tails", "encoders", 303),
-        pytest.param("slip_burst", "encoders", 305, marks=pytest.mark.xfail(reason="a cluster of bursts is a place")),
-    ],
-)  # fmt: skip
-def test_what_odd_steps_come_from_is_named(cause, yaw_from, seed):
-    run = simulate(seed, cause, size=2.0, yaw_from=yaw_from, duration_s=600.0)
-    learned = learn([as_recording(run)])
-    assert [gain.effect.name for gain in learned.noise] == [cause]
-    # many bursts cost way on average, and that is a scale
-    assert set(learned.added) <= ({"wheel_scale"} if cause == "slip_burst" else set())
+def test_what_odd_steps_come_from_is_named():
+    learned = learn([as_recording(simulate(303, "heavy_tails", size=2.0, yaw_from="encoders", duration_s=600.0))])
+    assert [gain.effect.name for gain in learned.noise] == ["heavy_tails"]
+    assert learned.added == ()
 
 
 @pytest.mark.parametrize("yaw_from", ["encoders", "gyro"])
