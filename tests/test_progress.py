@@ -2,6 +2,7 @@
 
 import re
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from odomcorrupt.bags.block import TABLE, Block
 from odomcorrupt.commands import _progress
+from odomcorrupt.study.work import Work
 from terminal import on_a_terminal
 
 FIXTURES = Path(__file__).parents[1] / "fixtures"
@@ -82,3 +84,20 @@ def test_a_search_says_its_stage_the_share_done_and_the_time_left():
     assert any(re.search(r"search, step \d+: \w+", line) for line in lines)
     assert any(re.search(r"% done, about \d+ s left", line) for line in lines)
     assert "MISSING" in verdict
+
+
+@pytest.mark.parametrize("steps", [1, 2, 6, 40])
+def test_the_share_done_never_falls_and_stays_below_one_however_long_the_search(steps):
+    said = []
+    work = Work(lambda stage, share: said.append((stage, share)), following=2.0)
+    work.begin_clocks()
+    for _ in range(steps):
+        work.begin_step()
+        work.within_step("refits")
+    work.begin("comparison", 2.0, 0.0)
+    shares = [share for _, share in said]
+    assert shares[0] == 0.0
+    assert len(set(shares)) > steps
+    assert all(0.0 <= later - before < 0.5 for before, later in pairwise(shares))
+    assert said[-1] == ("comparison", pytest.approx((1.0 + steps) / (3.0 + steps)))
+    assert said[-2][0] == f"search, step {steps}: refits"

@@ -116,8 +116,8 @@ def test_what_windows_share_has_the_covariance_of_each_of_them(name, values):
 
 
 def _learned(seed, cause, parameters, yaw_from):
-    run = simulate(seed, cause, duration_s=600.0, parameters=parameters, yaw_from=yaw_from)
-    without = as_recording(simulate(seed, None, duration_s=600.0, yaw_from=yaw_from))
+    run = simulate(seed, cause, duration_s=400.0, parameters=parameters, yaw_from=yaw_from)
+    without = as_recording(simulate(seed, None, duration_s=400.0, yaw_from=yaw_from))
     clean, noisy = fit([without], approach=choose_approach([without])), learn([as_recording(run)])
     return clean.noise.coefficients, noisy.fit.noise.coefficients, [gain.effect for gain in noisy.noise]
 
@@ -159,7 +159,7 @@ def test_a_bias_that_comes_back_is_no_walk_that_runs_away():
     bias = lfilter([1.0], [1.0, -keep], kicks)
     steps = Increments(planned.ds_m, planned.dl_m, planned.dtheta_rad + bias / RATE_HZ)
     noisy = noisy_path(steps, Coefficients(0.005, 0.005, 0.01, 0.005), 304)
-    (found,) = [gain.effect for gain in learn([recording(planned, noisy, seed=304)]).noise]
+    (found,), _ = processes_of(recording(planned, noisy, seed=304))
     assert found.name == "gyro_bias_walk"
     assert found.density * np.sqrt(found.tau / 2.0) == pytest.approx(0.005, rel=0.3)
     assert 4.0 < found.tau < 16.0
