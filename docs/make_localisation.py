@@ -122,7 +122,7 @@ def draw(found: dict[str, list[ScoreReport]]) -> bytes:
             axes.plot(drift, median, "o-", color=colour, label=f"alphas {name}")
             axes.plot(drift, p90, ":", color=colour)
             point = reports[-1].breakdown
-            if point.drift is not None:
+            if point.width is not None:
                 axes.axvline(100.0 * point.drift, color=colour, linewidth=1.0, alpha=0.5)
                 axes.text(100.0 * point.drift, 0.038, " 5 % lost", color=colour, fontsize=8)
         axes.set(xscale="log", yscale="log", ylim=(0.025, 9.0), ylabel="ATE of the localisation, m")
@@ -163,7 +163,7 @@ def main() -> None:
             lost = f", {report.failed} lost" if report.failed else ""
             cells.append(f"{report.summary('ate_m').median.value:.3f} m{lost}")
         point = reports[-1].breakdown
-        at = f"{point.drift:.1%} ({point.low:.1%} to {point.high:.1%})" if point.drift else f"above {point.low:.1%}"
+        at = f"{point.drift:.1%} ({point.low:.1%} to {point.high:.1%})" if point.width else f"above {point.low:.1%}"
         print(f"| {name} | " + " | ".join(cells) + f" | {at} |")
     drifts = [f"{np.median([run.drift for run in r.runs]):.2%}" for r in next(iter(found.values()))[:-1]]
     print(f"median drift: {', '.join(drifts)}; alphas: {chosen}")

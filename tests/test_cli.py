@@ -137,12 +137,10 @@ def test_degrees_effects_laws_and_steps_are_said_back(corrupt):
 
 @pytest.mark.parametrize(
     ("alphas", "law", "said_back"),
-    [
-        ("0.01 0.02 0.03 0.04 0.05", "omni", "rot_rot 0.01 rot_trans 0.02 trans_trans 0.03 trans_rot 0.04 across_"),
-        ("1e-3 2e-3 3e-3 4e-3 5e-3 6e-3", "velocity", "rot_rot 0.004 rot_trans 0.003 trans_trans 0.001 trans_"),
-        ("1e-3 2e-3 3e-3 4e-3", "velocity", "end_trans 0 end_rot 0"),
-    ],
-)
+    [("0.01 0.02 0.03 0.04 0.05", "omni", "rot_rot 0.01 rot_trans 0.02 trans_trans 0.03 trans_rot 0.04 across_"),
+    ("1e-3 2e-3 3e-3 4e-3 5e-3 6e-3", "velocity", "rot_rot 0.004 rot_trans 0.003 trans_trans 0.001 trans_"),
+    ("1e-3 2e-3 3e-3 4e-3", "velocity", "end_trans 0 end_rot 0")],
+)  # fmt: skip
 def test_alpha_takes_as_many_numbers_as_the_law_has_wherever_it_stands(tmp_path, capsys, alphas, law, said_back):
     target = tmp_path / "out.mcap"
     assert run(["--law", law, "--alpha", *alphas.split(), OFFICE, str(target), "-v", "--seed", "1"]) == 0
@@ -167,32 +165,28 @@ def test_a_model_file_brings_noise_and_effects_and_alpha_overrides_its_noise(cor
 
 @pytest.mark.parametrize(
     ("args", "sentence"),
-    [
-        (["--alpha", "1", "2", "3", "x"], "--alpha: 3 numbers, then 'x'; every law takes 4 numbers or more"),
-        (["--alpha", "-1", "0", "0", "0"], "coefficient rot_rot: -1.0; it must be a number from zero to 1e+06"),
-        (["--alpha", "1", "2", "3"], "alpha: 3 numbers; the law diffusion takes 4"),
-        (["--alpha", "1", "2", "3", "4", "5"], "alpha: 5 numbers; the law diffusion takes 4"),
-        (["--alpha", "1", "2", "3", "4", "5", "6", "--law", "omni"], "alpha: 6 numbers; the law omni takes 4 to 5"),
-        (["--alpha"], "alpha: 0 numbers; the law diffusion takes 4"),
-        (["--twist-noise", "-1", "0"], "coefficient white_v: -1.0"),
-        (["--law", "linear"], "--law linear: what coefficients mean depends on the law"),
-        (["--alpha", "0", "0", "0", "0", "--law", "cubic"], "no law is called 'cubic'; there are diffusion"),
-        (["--preset", "ideal"], "no preset is called 'ideal'; there are typical, turtlebot3-burger"),
-        (["--preset", "article", "--alpha", "0", "0", "0", "0"], "--alpha and --preset both define noise"),
-        (["--step", "0.25m,0.2rad"], "the law diffusion is the same at every step: leave --step out"),
-        (["--preset", "article", "--step", "often"], "step: 'often'; write message"),
-        (["--effect", "weel_scale:e=1"], "did you mean wheel_scale?"),
-        (["--effect", "wheel_scale:e"], "'e' is not key=number"),
-        (["--effect", "wheel_scale:x=1"], "has no parameter 'x'"),
-        (["--effect", "wheel_scale:e=7000"], "e: 7000; it must lie in"),
-        (["--effect", "wheel_scale=0.01"], "write wheel_scale:e=0.01"),
-        (["--effect", "unequal_wheels:curvature=1%"], "is a share, but the parameter has the unit rad/m"),
-        (["--alpha", "0.05,0.02,0.05,0.01"], "put spaces between the numbers: --alpha 0.05 0.02 0.05 0.01"),
-        (["--seed", "-1"], "--seed"),
-        (["--nonsense"], "--nonsense"),
-        (["third"], "unexpected extra argument"),
-    ],
-)
+    [(["--alpha", "1", "2", "3", "x"], "--alpha: 3 numbers, then 'x'; every law takes 4 numbers or more"),
+    (["--alpha", "-1", "0", "0", "0"], "coefficient rot_rot: -1.0; it must be a number from zero to 1e+06"),
+    (["--alpha", "1", "2", "3"], "alpha: 3 numbers; the law diffusion takes 4"),
+    (["--alpha", "1", "2", "3", "4", "5"], "alpha: 5 numbers; the law diffusion takes 4"),
+    (["--alpha", "1", "2", "3", "4", "5", "6", "--law", "omni"], "alpha: 6 numbers; the law omni takes 4 to 5"),
+    (["--alpha"], "alpha: 0 numbers; the law diffusion takes 4"),
+    (["--twist-noise", "-1", "0"], "coefficient white_v: -1.0"),
+    (["--law", "linear"], "--law linear: what coefficients mean depends on the law"),
+    (["--alpha", "0", "0", "0", "0", "--law", "cubic"], "no law is called 'cubic'; there are diffusion"),
+    (["--preset", "article", "--alpha", "0", "0", "0", "0"], "--alpha and --preset both define noise"),
+    (["--step", "0.25m,0.2rad"], "the law diffusion is the same at every step: leave --step out"),
+    (["--preset", "article", "--step", "often"], "step: 'often'; write message"),
+    (["--effect", "wheel_scale:e"], "'e' is not key=number"),
+    (["--effect", "wheel_scale:x=1"], "has no parameter 'x'"),
+    (["--effect", "wheel_scale:e=7000"], "e: 7000; it must lie in"),
+    (["--effect", "wheel_scale=0.01"], "write wheel_scale:e=0.01"),
+    (["--effect", "unequal_wheels:curvature=1%"], "is a share, but the parameter has the unit rad/m"),
+    (["--alpha", "0.05,0.02,0.05,0.01"], "put spaces between the numbers: --alpha 0.05 0.02 0.05 0.01"),
+    (["--seed", "-1"], "--seed"),
+    (["--nonsense"], "--nonsense"),
+    (["third"], "unexpected extra argument")],
+)  # fmt: skip
 def test_wrong_usage_is_one_line_exit_code_two_and_no_output(corrupt, args, sentence):
     require_refused(corrupt(*args), 2, sentence)
 
@@ -224,15 +218,13 @@ def test_an_input_that_is_no_whole_bag_is_one_line_exit_code_one_and_leaves_noth
 
 @pytest.mark.parametrize(
     ("args", "sentence"),
-    [
-        (["--odom-topic", "/nothing"], "no topic /nothing (nav_msgs/Odometry is on /odom); name another one"),
-        (["--odom", "/imu"], "/imu is sensor_msgs/msg/Imu in cdr; --odom-topic must name a nav_msgs/Odometry"),
-        (["--effect", "wheel_scale:e=-0.5"] * 2, "too strong for this drive"),
-        (["--odom-frame", "x"], "--odom-frame x: no odometry message and no transform has this frame"),
-        (["--compression", "rar"], "compression rar: is not available"),
-        (["--model", "nowhere.toml"], "nowhere.toml: cannot be read"),
-    ],
-)
+    [(["--odom-topic", "/nothing"], "no topic /nothing (nav_msgs/Odometry is on /odom); name another one"),
+    (["--odom", "/imu"], "/imu is sensor_msgs/msg/Imu in cdr; --odom-topic must name a nav_msgs/Odometry"),
+    (["--effect", "wheel_scale:e=-0.5"] * 2, "too strong for this drive"),
+    (["--odom-frame", "x"], "--odom-frame x: no odometry message and no transform has this frame"),
+    (["--compression", "rar"], "compression rar: is not available"),
+    (["--model", "nowhere.toml"], "nowhere.toml: cannot be read")],
+)  # fmt: skip
 def test_a_run_that_fails_is_one_line_exit_code_one_and_leaves_nothing(corrupt, tmp_path, args, sentence):
     require_refused(corrupt(*args), 1, sentence)
     assert not list(tmp_path.iterdir())

@@ -75,6 +75,8 @@ REFUSED = {
     OFFICE: "Missing argument 'OUTPUT'",
     f"{OFFICE} a.bga": "a.bga: .bga is not a bag format (did you mean .bag?)",
     "presest": "did you mean presets?",
+    "presets turtlbot4": "did you mean turtlebot4?",
+    "info mine.csv": "mine.csv: is text, not a bag; learn, fit, compare, diagnose and score read trajectories",
     "presets burger": "did you mean turtlebot3-burger?",
     f"{OFFICE} out.mcap --preset husk": "did you mean husky?",
     "sample -o mine.csv": "mine.csv: exists already; choose another name or pass --overwrite",

@@ -155,7 +155,7 @@ class Maps(Result):
         """Return a figure of the maps side by side, and of thickness and distance of hits along the drive."""
         from odomcorrupt.report.plots.maps import draw_scan_maps
 
-        added = "added by noise" if self.matched is None else "added by the odometry"
+        added = "noise alone" if self.matched is None else "odometry alone"
         return draw_scan_maps(self.maps, WINDOW_M, added)
 
 

@@ -314,7 +314,6 @@ def _refuse_suffix(path: Path | None, *, directory: bool) -> None:
         return
     import difflib  # noqa: PLC0415 - slow to import, for a message only
 
-    near = difflib.get_close_matches(suffix, _SUFFIXES, 1, 0.5)
-    if near or not directory:
-        meant = f" (did you mean {near[0]}?)" if near else ""
+    meant = "".join(f" (did you mean {one}?)" for one in difflib.get_close_matches(suffix, _SUFFIXES, 1, 0.5))
+    if meant or not directory:
         raise BagError(f"{path}: {suffix} is not a bag format{meant}; end the name in {', '.join(_SUFFIXES)}")

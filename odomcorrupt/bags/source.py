@@ -193,6 +193,7 @@ SNIFFED: Final = 64
 """Number of first bytes that tell."""
 
 _OTHERS = {
+    SQLITE: "a sqlite3 bag cannot come through a pipe; name the file or directory",
     b"#ROSBAG V1": "is a ROS 1 bag of version 1; `rosbag migrate` makes it a 2.0 one",
     ZSTD: "is a zstd-compressed file; decompress it first (`zstd -d`)",
     b"\x1f\x8b": "is a gzip-compressed file; decompress it first (`gunzip`)",
@@ -212,14 +213,14 @@ def unknown(name: str, begin: bytes) -> BagError:
     """Return the error that says what a file is that is no bag, from its first bytes."""
     if not begin:
         return BagError(f"{name}: is empty; nothing was recorded, or nothing came through the pipe")
-    if begin.startswith(SQLITE):
-        return BagError(f"{name}: a sqlite3 bag cannot come through a pipe; name the file or directory")
     text = begin.lstrip().lower()
     for first, said in _OTHERS.items():
         if begin.startswith(first) or text.startswith(first.lower()):
             return BagError(f"{name}: {said}")
     if not any(begin):
         return BagError(f"{name}: begins with zeros: space that was reserved and never written; nothing is in it")
+    if name.endswith((".csv", ".tum", ".txt")):
+        return BagError(f"{name}: is text, not a bag; learn, fit, compare, diagnose and score read trajectories")
     return BagError(f"{name}: begins with {begin[:8]!r}, which is not an MCAP, a ROS 1 bag or a ROS 2 bag")
 
 

@@ -173,23 +173,17 @@ def contains_truth(topic: str, parent: str, child: str, frames: Frames) -> bool:
 
 
 def localisation_words(edges: Mapping[str, str], frames: Frames, channels: Iterable[Channel] = ()) -> list[str]:
-    """Return sentences on localisation that stays, without a full stop.
+    """Return a sentence on localisation that stays, without a full stop; none where there is no localisation.
 
     edges : topics of the edges of TF that stay, "parent -> child"; channels : all of the bag
     """
-    said = []
-    for edge, topic in sorted(edges.items()):
-        parent, _, child = edge.partition(" -> ")
-        if localisation_side_of(parent, child, frames) and "static" not in topic:
-            way_out = f"leave it out with --exclude-topic {topic}:{parent}.{child} and localise again"
-            said.append(
-                f"TF {edge} stays, and is that of the true odometry: {way_out}, or move it with --keep-localisation"
-            )
+    pairs = ((topic, *edge.split(" -> ")) for edge, topic in sorted(edges.items()) if "static" not in topic)
+    tf = [f"{topic}:{parent}.{child}" for topic, parent, child in pairs if localisation_side_of(parent, child, frames)]
     poses = {c.topic for c in channels if c.msgtype == _LOCALISED and not says_truth(c.topic)}
-    for topic in sorted(topic for topic in poses if last_part(topic) not in SETPOINT_TOPICS):
-        way_out = f"leave it out with --exclude-topic {topic}"
-        said.append(f"{topic} stays, and is of the true odometry if it is a localisation: {way_out}")
-    return said
+    every = [*tf, *sorted(topic for topic in poses if last_part(topic) not in SETPOINT_TOPICS)]
+    way_out = f"leave it out with {' '.join(f'--exclude-topic {one}' for one in every)} and localise again"
+    moved = ", or move TF with --keep-localisation" if tf else ""
+    return [f"recorded localisation stays, and is of the true odometry: {way_out}{moved}"] if every else []
 
 
 def last_part(frame: str) -> str:

@@ -265,7 +265,7 @@ def brief(values: dict[str, Any], name: str) -> Summary:
         for t in values["topics"]
         if says_truth(t["topic"]) and t["type"].endswith(("Odometry", "Stamped")) and t["topic"] not in topics
     ]
-    lines += [Line("note", remark, "warning") for remark in remarks]
+    lines += [Line("note", remark, "warning", short=remark.partition(" and localise")[0]) for remark in remarks]
     words = ["odomcorrupt", "preview", name]
     return Summary((*lines, *((command_line(words),) if values["odometry_source"] is not None else ())))
 
@@ -372,7 +372,7 @@ def _remarks(
             path = Alternation()
             path.take(e.xyt[np.argsort(e.stamps_ns, kind="stable")])
             said += [f"TF {e.parent} -> {e.child}: {path.sentence()}"] if path.alternates else []
-        said += localisation_words({f"{e.parent} -> {e.child}": e.topic for e in edges}, frames)
+        said += localisation_words({f"{e.parent} -> {e.child}": e.topic for e in edges}, frames, scan.channels)
         if not moved:
             said.append(f"no transform from or to {frames.odom} would move")
     return said

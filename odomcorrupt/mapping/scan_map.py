@@ -293,10 +293,10 @@ def maps_brief(maps: Sequence[ScanMap], notes: Sequence[str], drawn: tuple[str, 
 
 def maps_table(maps: Sequence[ScanMap]) -> str:
     """Return a table of the wall thickness along the drive."""
-    heads = [*(s.name.split(" (")[0].removesuffix(" odometry") for s in maps), "added", "hits off"]
+    heads = [*(s.name.split(" (")[0].removesuffix(" odometry") for s in maps), "alone", "hits off"]
     lines = [
         f"wall thickness, cm (root of the mean plane variance, Razlaw et al., ECMR 2015; window {WINDOW_M:g} m),",
-        "that of the noise alone (added: root of the difference of squares), and noisy hits off the clean walls, cm",
+        "that of the noise alone (root of the difference of squares), and noisy hits off the clean walls, cm",
         "  after      " + "".join(f"{head:>12}" for head in heads),
     ]
     clean, noisy = (s.thickness_m for s in maps[:2])
@@ -305,7 +305,7 @@ def maps_table(maps: Sequence[ScanMap]) -> str:
         values = (*(s.thickness_m[i] for s in maps), added[i], maps[1].off_surface_m[i])
         lines.append(f"  {mark:7.2f} m  " + "".join(f"{100.0 * value:12.2f}" for value in values))
     first, last = 100.0 * maps[1].off_surface_m[0], 100.0 * maps[1].off_surface_m[-1]
-    grown = f"{noisy[-1] / clean[-1]:.2f} times as thick: {100.0 * added[-1]:.2f} cm were added to them"
+    grown = f"{noisy[-1] / clean[-1]:.2f} times as thick; of the noise alone they would be {100.0 * added[-1]:.2f} cm"
     hits = f"{first:.1f} cm off the clean map's walls in the first part of the drive, {last:.1f} cm in the last"
     lines += [f"walls became {grown}", f"noisy hits are {hits} (root mean square, across the walls)"]
     return "\n".join(lines)

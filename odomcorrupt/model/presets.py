@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
+from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 from odomcorrupt.errors import ModelError
@@ -44,10 +45,8 @@ class Preset:
         """The model: noise, and effects of zero whose spread `batch` draws."""
         from odomcorrupt.effects import effect_from_values  # noqa: PLC0415 - noise alone needs no effect
 
-        effects = tuple(
-            effect_from_values(name, {parameter: 0.0})
-            for name, dot, parameter in (key.partition(".") for key in self.spread) if dot
-        )  # fmt: skip
+        names = (key.partition(".") for key in self.spread)
+        effects = tuple(effect_from_values(name, {parameter: 0.0}) for name, dot, parameter in names if dot)
         return MotionModel(
             self.noise, effects, self.track_m, Setup(drive_type=self.drive_type), dict(self.spread),
             {"preset": self.name, "from": self.source},
@@ -151,8 +150,8 @@ PRESETS: Mapping[str, Preset] = {
 def preset_named(name: str) -> Preset:
     """Return the preset with a given name; a ModelError lists the available names."""
     if name not in PRESETS:
-        near = [f"did you mean {one}? " for one in PRESETS if name.lower() in one]
-        raise ModelError(f"no preset is called {name!r}; {''.join(near[:1])}there are {', '.join(PRESETS)}")
+        near = [f"did you mean {one}? " for one in get_close_matches(name.lower(), PRESETS, 1, 0.51)]
+        raise ModelError(f"no preset is called {name!r}; {''.join(near)}there are {', '.join(PRESETS)}")
     return PRESETS[name]
 
 

@@ -13,7 +13,7 @@ from xml.sax.saxutils import escape, quoteattr
 from odomcorrupt.report.plain import picked
 from odomcorrupt.scoring.errors import RPE_M, WINDOW_S
 from odomcorrupt.scoring.gate import quantity
-from odomcorrupt.scoring.run import METRICS, RunScore, ScoreReport
+from odomcorrupt.scoring.run import METRICS, ODOMETRY, RunScore, ScoreReport
 from odomcorrupt.summary import ALWAYS, MOST_LINES, Line, Summary
 
 if TYPE_CHECKING:
@@ -84,6 +84,7 @@ def score_brief(report: ScoreReport, verdicts: Sequence[Verdict]) -> Summary:
     verdicts : verdicts of the gate's rules
     """
     said = f"{report.failed} of {len(report.runs)} runs failed{_kinds(report)}"
+    said += f"; estimate: {ODOMETRY}" if report.estimate == ODOMETRY else ""
     bad = sum(one.failed for one in verdicts)
     if verdicts:
         broken = f"{bad} of {len(verdicts)} rules broken; {said}"
@@ -107,10 +108,7 @@ def score_brief(report: ScoreReport, verdicts: Sequence[Verdict]) -> Summary:
         if s.n:
             values = (quantity(name, value) for value in (s.median.value, s.p90.value, s.max))
             lines.append(Line(label, "median {}, p90 {}, max {}".format(*values)))
-    drifts, point = _drifts(report), report.breakdown.drift
-    span = f"drifts {drifts} per 10 m"
-    breaks = f"5 % fail at a drift of {_percent(point)}; {span}" if point is not None else f"no point; {span}"
-    lines.append(Line("breaks", breaks if drifts else "unknown: the drift of these runs is not known"))
+    lines.append(Line("breaks", _breaks(report)))
     nees = report.summary("nees")
     if nees.n:
         lines.append(Line("NEES", f"{nees.median.value:.3g} per degree of freedom (1 is calibrated)"))
@@ -181,12 +179,6 @@ def _kinds(report: ScoreReport) -> str:
     return f" ({parts})" if parts else ""
 
 
-def _drifts(report: ScoreReport) -> str:
-    """Return the smallest and the largest drift of the runs; "" if none is known."""
-    drifts = [run.drift for run in report.runs if isfinite(run.drift)]
-    return f"{_percent(min(drifts))} to {_percent(max(drifts))}" if drifts else ""
-
-
 def sentences(report: ScoreReport) -> list[str]:
     """Return the results over all runs, a sentence each, the most important first."""
     lines = [f"{report.failed} of {len(report.runs)} runs failed{_kinds(report)}."]
@@ -195,7 +187,9 @@ def sentences(report: ScoreReport) -> list[str]:
         lines.append(f"Errors of runs without a complete output, {without}, count as infinite.")
     if report.identical:
         lines.append("The estimates are identical in all runs: your localisation was not run again.")
-    lines.append(_breakdown_sentence(report))
+    low, high = report.breakdown.low, report.breakdown.high
+    bounds = " and ".join([f"above {_percent(low)}"] * (low > 0.0) + [f"below {_percent(high)}"] * isfinite(high))
+    lines.append(f"Break-down point: {_breaks(report)}{f' (95 %: {bounds})' if bounds else ''}.")
     grown = report.growth
     if grown is not None:
         lines.append(
@@ -224,24 +218,19 @@ def _percent(part: float) -> str:
     return f"{100.0 * part:.3g} %"
 
 
-def _breakdown_sentence(report: ScoreReport) -> str:
-    found, drifts = report.breakdown, _drifts(report)
+def _breaks(report: ScoreReport) -> str:
+    """Return the drift at which 5 % of runs fail; beyond the drifts of the runs only that it is there."""
+    found, drifts = report.breakdown, [run.drift for run in report.runs if isfinite(run.drift)]
     if not drifts:
-        return "The drift of these runs is not known, and so no break-down point."
-    span = f"runs drift by {drifts} of the way, rms over 10 m"
-    if found.drift is None and not report.failed:
-        low = f"; it lies above {_percent(found.low)} (95 %)" if found.low > 0.0 else ""
-        return f"No break-down point: no run failed ({span}){low}."
-    if found.drift is None and report.failed < len(report.runs):
-        return f"Too few runs for a break-down point ({span})."
+        return "unknown: the drift of these runs is not known"
+    least, most = _percent(min(drifts)), _percent(max(drifts))
     if found.drift is None:
-        high = f"; it lies below {_percent(found.high)} (95 %)" if isfinite(found.high) else ""
-        return f"No break-down point: all runs failed ({span}){high}."
-    high = _percent(found.high) if isfinite(found.high) else "more than was tried"
-    return (
-        f"Break-down point: at a drift of {_percent(found.drift)} of the way 5 % of runs fail (95 % interval "
-        f"{_percent(found.low)} to {high}; {span})."
-    )
+        return f"unknown: too few runs, of drifts {least} to {most} per 10 m"
+    if not found.drift:
+        return f"5 % fail at less than {least} per 10 m, the smallest drift that was run"
+    if not isfinite(found.drift):
+        return f"5 % fail beyond {most} per 10 m, the largest drift that was run"
+    return f"5 % fail at a drift of {_percent(found.drift)}; drifts {least} to {most} per 10 m"
 
 
 def _place_sentences(report: ScoreReport) -> list[str]:

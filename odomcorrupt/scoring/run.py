@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.topic_selection import Role
 
 
+ODOMETRY = "the odometry of the runs itself"
 _BAGS = (".mcap", ".bag", ".db3")
 _TEXTS = (".tum", ".txt", ".csv")
 
@@ -57,15 +58,15 @@ class Estimate:
     notes: tuple[str, ...]
 
 
-def find_estimate(directory: Path, run_file: Path, *, needs_topic: bool) -> Path:
+def find_estimate(directory: Path, run_file: Path, *, itself: bool) -> Path:
     """Return the file with the estimate of a run.
 
     That is a file or bag in `directory` with the run's name, with or without a suffix (`run_000012.tum`,
-    `run_000012_amcl.mcap`, a ROS 2 bag `run_000012/`), else the run's bag itself.
+    `run_000012_amcl.mcap`, a ROS 2 bag `run_000012/`), else the run itself.
 
     directory : directory of the localisation's outputs
     run_file : corrupted run
-    needs_topic : whether a topic was given, so that the run's bag itself may contain the estimate
+    itself : whether the run itself may be the estimate: a bag if a topic was given, a text file if no run has another
 
     Raises
     ------
@@ -87,7 +88,7 @@ def find_estimate(directory: Path, run_file: Path, *, needs_topic: bool) -> Path
         raise ScoreError(f"{directory}: {len(found)} files could be the estimate of {name} ({names}); keep one of them")
     if found:
         return found[0]
-    if needs_topic and own.exists() and own.suffix not in _TEXTS:
+    if itself and own.exists():
         return run_file
     way_out = "name another place with --outputs, or a topic of the run with --estimate (docs/score.md)"
     raise NoEstimateError(f"no file {name}* with an estimate in {directory}; {way_out}")
@@ -341,12 +342,18 @@ def score(
         inputs.append({"batch": label, **{kind: begun[kind]["hash"] for kind in ("input", "model")}})
         frame = next(iter(records.values())).get("odom_frame", "")
         shared = _shared_truth(directory, truth, truth_bag, frame)
+        files = {directory / record["file"] for record in records.values()}
+        texts = all(file.suffix in _TEXTS for file in files)
+        bare = texts and outputs is None and {*directory.glob("run_*")} <= files
+        itself = estimate is None if bare else estimate is not None and not texts
         for number, record in records.items():
             name = f"{label}/run_{number:06d}" if label else f"run_{number:06d}"
             blank = RunScore(
                 name, int(record["seed"]), number, "missing", source=str(directory / record["file"]), **_put_in(record)
             )
-            one, used = _scored(blank, directory / record["file"], beside, estimate, shared or truth, align, limits)
+            one, used = _scored(
+                blank, directory / record["file"], beside, estimate, shared or truth, align, limits, itself=itself
+            )
             found.append(one)
             if used is not None:
                 clean = clean or used.trajectory
@@ -356,8 +363,8 @@ def score(
         why = f"{found[0].name}: {found[0].reason}"
         raise ScoreError(f"none of {len(found)} runs has an estimate that can be scored; {why}")
     return ScoreReport(
-        tuple(found), estimate or "text files", ", ".join(sorted(truths)), align, limits, tuple(inputs),
-        distance_along(clean.xyt), clean.xyt[:, :2], tuple(_notes(found, truths, align)),
+        tuple(found), ODOMETRY if bare else estimate or "text files", ", ".join(sorted(truths)), align, limits,
+        tuple(inputs), distance_along(clean.xyt), clean.xyt[:, :2], tuple(_notes(found, truths, align)),
     )  # fmt: skip
 
 
@@ -409,10 +416,12 @@ def _scored(
     truth: Estimate | str | None,
     align: Alignment,
     limits: Limits,
+    *,
+    itself: bool,
 ) -> tuple[RunScore, Estimate | None]:
     """Return the score of one run, and its truth if there is an estimate; a truth by its topic is in the run."""
     try:
-        path = find_estimate(outputs, run_file, needs_topic=estimate is not None)
+        path = find_estimate(outputs, run_file, itself=itself)
         got = read_estimate(path, estimate)
     except NoEstimateError as error:
         return replace(blank, reason=str(error)), None

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import comb
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -64,14 +63,11 @@ def summarise(values: Array) -> Summary:
 
 def _quantile(ordered: Array, q: float) -> Quantile:
     """Return a quantile; its interval covers it with at least 95 % for any distribution (David & Nagaraja 2003)."""
+    from scipy.special import bdtr  # noqa: PLC0415 - a gate of the pytest plugin needs no SciPy
+
     n = len(ordered)
-    counts = np.cumsum([comb(n, k) * q**k * (1.0 - q) ** (n - k) for k in range(n + 1)]) if n <= 1000 else None
-    if counts is None:
-        half = 1.96 * np.sqrt(q * (1.0 - q) * n)
-        lower, upper = int(np.floor(n * q - half)), int(np.ceil(n * q + half)) + 1
-    else:
-        lower = int(np.searchsorted(counts, 0.025, side="right"))
-        upper = int(np.searchsorted(counts, 0.975)) + 1
+    counts = bdtr(np.arange(n + 1), n, q)
+    lower, upper = int(np.searchsorted(counts, 0.025, side="right")), int(np.searchsorted(counts, 0.975)) + 1
     low = float(ordered[lower - 1]) if lower >= 1 else 0.0
     high = float(ordered[upper - 1]) if upper <= n else float("inf")
     return Quantile(float(quantile(ordered, q)), low, high)
@@ -104,11 +100,11 @@ def growth(drift: Array, error: Array) -> Growth | None:
 
 @dataclass(frozen=True, slots=True)
 class Breakdown:
-    """The drift at which 5 % of runs are lost.
+    """The drift at which 5 % of runs are lost, not extrapolated beyond the drifts of the runs.
 
-    drift : most likely value; None if no runs are lost, or all are
-    low, high : 95 % interval by profile likelihood; 0 and infinity if the runs do not bound it
-    width : factor of drift between 5 and 50 % of lost runs; None as above
+    drift : most likely value; 0 below the smallest drift of the runs, infinite beyond the largest, None of too few runs
+    low, high : 95 % interval by profile likelihood; 0 and infinity where no runs were, or these do not bound it
+    width : factor of drift between 5 and 50 % of lost runs; None without a value of `drift`
     """
 
     drift: float | None
@@ -128,42 +124,20 @@ def breakdown(drift: Array, lost: NDArray[np.bool_]) -> Breakdown:
     x, y = np.log(drift[usable]), lost[usable]
     if len(x) < 5:
         return Breakdown(None, 0.0, float("inf"), None)
-    reach = 3.0 + np.ptp(x)
-    wide = np.linspace(x.min() - reach, x.max() + reach, 201)
-    inside = _profile(x, y, wide).inside
-    # a second, finer pass over the range that the first could not exclude
-    first, last = wide[max(inside[0] - 1, 0)], wide[min(inside[-1] + 1, len(wide) - 1)]
-    found = _profile(x, y, np.linspace(first, last, 401))
-    grid = found.grid
-    low = 0.0 if inside[0] == 0 else float(np.exp(grid[found.inside[0]]))
-    high = float("inf") if inside[-1] == len(wide) - 1 else float(np.exp(grid[found.inside[-1]]))
-    if y.all() or not y.any():
-        return Breakdown(None, low if not y.any() else 0.0, high if y.all() else float("inf"), None)
-    # of a range of equal likelihood, the middle
-    best = np.flatnonzero(found.likelihood >= found.likelihood.max() - 1e-6)
-    at = int(best[len(best) // 2])
-    return Breakdown(float(np.exp(grid[at])), low, high, float(np.exp(-_LOST_LOGIT / found.slope[at])))
-
-
-class _Profile(NamedTuple):
-    """Profile likelihood over a grid (k,) of break-down points, logarithms.
-
-    likelihood, slope : (k,) the log likelihood at the best slope, and that slope
-    inside : points within the 95 % interval
-    """
-
-    grid: Array
-    likelihood: Array
-    slope: Array
-    inside: NDArray[np.int64]
-
-
-def _profile(x: Array, lost: NDArray[np.bool_], grid: Array) -> _Profile:
-    slopes = np.geomspace(0.3, 60.0, 40)
-    every = np.stack([_log_likelihood(x, lost, grid, slope) for slope in slopes])
+    grid, slopes = np.linspace(x.min() - 3.0, x.max() + 3.0, 601), np.geomspace(0.3, 60.0, 40)
+    every = np.stack([_log_likelihood(x, y, grid, slope) for slope in slopes])
     best = every.max(axis=0)
-    inside = np.flatnonzero(2.0 * (best.max() - best) <= _CHI2_1_95)
-    return _Profile(grid, best, slopes[every.argmax(axis=0)], inside)
+    first, last = grid[np.flatnonzero(2.0 * (best.max() - best) <= _CHI2_1_95)[[0, -1]]]
+    low = 0.0 if first < x.min() else float(np.exp(min(first, x.max())))
+    high = float("inf") if last > x.max() else float(np.exp(max(last, x.min())))
+    # of a range of equal likelihood, the middle
+    equal = np.flatnonzero(best >= best.max() - 1e-6)
+    at = int(equal[len(equal) // 2])
+    if y.all() or grid[at] < x.min():
+        return Breakdown(0.0, 0.0, high, None)
+    if not y.any() or grid[at] > x.max():
+        return Breakdown(float("inf"), low, float("inf"), None)
+    return Breakdown(float(np.exp(grid[at])), low, high, float(np.exp(-_LOST_LOGIT / slopes[every[:, at].argmax()])))
 
 
 def _log_likelihood(x: Array, lost: NDArray[np.bool_], grid: Array, slope: float) -> Array:

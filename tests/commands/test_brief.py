@@ -46,15 +46,13 @@ def test_an_effect_is_explained_in_eight_lines(name, capsys):
 
 @pytest.mark.parametrize(
     ("words", "label"),
-    [
-        (["presets"], "PRESETS"),
-        (["effects"], "SYSTEMATIC"),
-        (["integrate", OFFICE], "INTEGRATED"),
-        (["integrate", OFFICE, "--twist-noise", "0.2", "0.04", "--runs", "3", "--seed", "1"], "INTEGRATED"),
-        (MAP, "THICKER"),
-        (["preview", OFFICE, "--runs", "2", "--seed", "1"], "DRIFT"),
-    ],
-)
+    [(["presets"], "PRESETS"),
+    (["effects"], "SYSTEMATIC"),
+    (["integrate", OFFICE], "INTEGRATED"),
+    (["integrate", OFFICE, "--twist-noise", "0.2", "0.04", "--runs", "3", "--seed", "1"], "INTEGRATED"),
+    (MAP, "THICKER"),
+    (["preview", OFFICE, "--runs", "2", "--seed", "1"], "DRIFT")],
+)  # fmt: skip
 def test_a_result_has_eight_lines_all_of_it_nothing_or_values(words, label, capsys):
     # a list of names leaves none out
     require_brief(lines_of(capsys, words), label, most=13 if words == ["effects"] else 8)
@@ -94,19 +92,17 @@ def test_parameters_stand_without_their_derivation_unless_it_is_asked_for(target
 
 @pytest.mark.parametrize(
     ("typed", "last"),
-    [
-        ("info in.mcap", "noisy.mcap"),
-        ("batch in.mcap runs --runs 2 --preset typical --output trajectories --seed 1", "preview run_000000.mcap"),
-        ("batch in.mcap runs --runs 2 --seed 1", "info runs/run_000000.mcap"),
-        ("sample -n 50 --seed 2", "density -n 50 --seed 2 --plot density.png"),
-        ("integrate in.mcap --twist-noise 0.2 0.04 --seed 1 --runs 3", "--plot errors.png"),
-        ("learn mystery.mcap -o robot.toml", "export robot.toml --to ros2_control"),
-        ("diagnose mystery.mcap", "sim.bag noisy.bag --model robot.toml"),
-        ("batch in.mcap runs --runs 2 --seed 1; score runs --estimate /odom --align origin", "--report page.html"),
-        ("map in.mcap --resolution 0.2 --seed 1", "-o map.png"),
-        ("effects wheelbase; convert-alpha 0.2 0.1 0.2 0.2 --from quadratic --step 0.25m --to diffusion", "e=0.015"),
-    ],
-)
+    [("info in.mcap", "noisy.mcap"),
+    ("batch in.mcap runs --runs 2 --preset typical --output trajectories --seed 1", "preview run_000000.mcap"),
+    ("batch in.mcap runs --runs 2 --seed 1", "info runs/run_000000.mcap"),
+    ("sample -n 50 --seed 2", "density -n 50 --seed 2 --plot density.png"),
+    ("integrate in.mcap --twist-noise 0.2 0.04 --seed 1 --runs 3", "--plot errors.png"),
+    ("learn mystery.mcap -o robot.toml", "export robot.toml --to ros2_control"),
+    ("diagnose mystery.mcap", "sim.bag noisy.bag --model robot.toml"),
+    ("batch in.mcap runs --runs 2 --seed 1; score runs --estimate /odom --align origin", "--report page.html"),
+    ("map in.mcap --resolution 0.2 --seed 1", "-o map.png"),
+    ("effects wheelbase; convert-alpha 0.2 0.1 0.2 0.2 --from quadratic --step 0.25m --to diffusion", "e=0.015")],
+)  # fmt: skip
 def test_each_suggested_command_runs_and_those_that_it_suggests(typed, last, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name in ("in.mcap", "in.bag", "sim.bag"):

@@ -63,17 +63,15 @@ def test_a_batch_draws_a_robot_within_the_range_of_a_preset(name, tmp_path, monk
 
 @pytest.mark.parametrize(
     ("names", "found"),
-    [
-        (["/odom", "/scan", "/tf"], ""),
-        (["/sensor_state", "turtlebot3_msgs/msg/SensorState"], "turtlebot3-burger"),
-        (["/hazard_detection", "irobot_create_msgs/msg/HazardDetectionVector"], "turtlebot4"),
-        (["/husky_velocity_controller/odom"], "husky"),
-        (["/rosbot_base_controller/odom"], "rosbot"),
-        (["base_link -> ir_intensity_left"], "turtlebot4"),
-        (["ackermann_msgs/msg/AckermannDriveStamped"], "ackermann"),
-        (["/husky_velocity_controller/odom", "/jackal_velocity_controller/odom"], ""),
-    ],
-)
+    [(["/odom", "/scan", "/tf"], ""),
+    (["/sensor_state", "turtlebot3_msgs/msg/SensorState"], "turtlebot3-burger"),
+    (["/hazard_detection", "irobot_create_msgs/msg/HazardDetectionVector"], "turtlebot4"),
+    (["/husky_velocity_controller/odom"], "husky"),
+    (["/rosbot_base_controller/odom"], "rosbot"),
+    (["base_link -> ir_intensity_left"], "turtlebot4"),
+    (["ackermann_msgs/msg/AckermannDriveStamped"], "ackermann"),
+    (["/husky_velocity_controller/odom", "/jackal_velocity_controller/odom"], "")],
+)  # fmt: skip
 def test_topics_types_and_frames_give_a_robot_away(names, found):
     assert suggested(names) == found
 

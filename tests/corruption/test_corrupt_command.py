@@ -108,13 +108,15 @@ def test_the_localisation_of_the_true_odometry_is_said_and_can_be_left_out(tmp_p
     ):
         assert run(words) == 0
         said = " ".join("".join(capsys.readouterr()).split())
-        assert "TF map -> odom stays, and is that of the true odometry" in said
+        assert "recorded localisation stays, and is of the true odometry: leave it out with " in said
         assert words[0] != "batch" or f"{tmp_path / 'b'} drifts by 0." in said
-        assert "/amcl_pose stays, and is of the true odometry if it is a localisation: leave it out with " in said
+        assert "--exclude-topic /tf:map.odom --exclude-topic /amcl_pose and localise again, or move TF with " in said
     assert run([str(source), str(target), "--seed", "1", "--overwrite"]) == 0
     brief = capsys.readouterr().err
     assert "seed      1, run 0" in brief
-    assert "--exclude-topic /tf:map.odom" in brief
+    assert "--exclude-topic /tf:map.odom --exclude-topic /amcl_pose\n" in brief
+    assert run(["info", str(source)]) == 0
+    assert "--exclude-topic /tf:map.odom --exclude-topic /amcl_pose" in capsys.readouterr().out
     left_out = ["--exclude-topic", "/amcl_pose", "--exclude-topic", "/tf:map.odom"]
     assert run(["batch", str(source), str(tmp_path / "c"), *batched, *left_out]) == 0
     assert "stays" not in capsys.readouterr().out
@@ -122,7 +124,7 @@ def test_the_localisation_of_the_true_odometry_is_said_and_can_be_left_out(tmp_p
     for words in (["/tf:map.odom"], ["tf:map.odom", "/tf:base_link.laser"]):
         exclude = [word for one in words for word in ("--exclude-topic", one)]
         assert run([str(source), str(target), "--seed", "1", "-v", "--overwrite", *exclude]) == 0
-        assert "TF map -> odom stays" not in capsys.readouterr().err
+        assert "--exclude-topic /tf:" not in capsys.readouterr().err
         kept = {("odom", "base_link"), *([("base_link", "laser")] if len(words) == 1 else [])}
         assert {edge[:2] for edge in edges_of(target)} == kept
         assert [edge for edge in edges_of(target) if edge[:2] == ("odom", "base_link")] == moved

@@ -82,12 +82,10 @@ def test_a_batch_makes_the_same_bytes_of_them(odd, tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("topic", "kept", "warned"),
-    [
-        ("/sim/ground_truth/odom", (), True),
-        ("/odom", (), False),
-        ("/sim/ground_truth/odom", ("--keep-truth", "/clean"), False),
-    ],
-)
+    [("/sim/ground_truth/odom", (), True),
+    ("/odom", (), False),
+    ("/sim/ground_truth/odom", ("--keep-truth", "/clean"), False)],
+)  # fmt: skip
 def test_odometry_named_like_a_truth_is_reported_unless_a_clean_copy_is_kept(tmp_path, capsys, topic, kept, warned):
     channel = replace(ODOM, topic=topic)
     write_mcap(

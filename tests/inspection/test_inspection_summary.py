@@ -46,7 +46,7 @@ def test_a_sound_bag_has_its_topics_edges_and_drive_reported_and_no_oddities():
     assert [sentence for sentence in odom["oddities"] if "covariance" not in sentence] == []
     assert values["still_true"] == ["/imu"]
     (remark,) = values["remarks"]
-    assert remark.startswith("TF map -> odom stays")
+    assert remark.startswith("recorded localisation stays, and")
     assert "--exclude-topic /tf:map.odom" in remark
 
 

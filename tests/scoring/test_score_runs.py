@@ -33,11 +33,15 @@ def batch(tmp_path_factory):
 @pytest.fixture
 def estimates(batch, tmp_path):
     """Return a directory with estimates of ten runs: a tenth of the odometry's error is left."""
-    clean = read_tum(batch / "trajectories" / "clean.tum")
-    for path in (batch / "trajectories").glob("run_*.tum"):
+    return localise(batch / "trajectories", tmp_path, 0.1)
+
+
+def localise(runs, folder, part):
+    clean = read_tum(runs / "clean.tum")
+    for path in runs.glob("run_*.tum"):
         own = read_tum(path)
-        (tmp_path / path.name).write_bytes(format_tum(own.stamps_ns, clean.xyt + 0.1 * (own.xyt - clean.xyt)))
-    return tmp_path
+        (folder / path.name).write_bytes(format_tum(own.stamps_ns, clean.xyt + part * (own.xyt - clean.xyt)))
+    return folder
 
 
 def spoil(path, rows=slice(None), shift_m=0.0, shift_ns=0):
@@ -66,6 +70,20 @@ def test_the_run_itself_may_hold_the_estimate_as_a_topic_or_in_tf(batch):
         assert one.metrics["ate_m"] == pytest.approx(other.metrics["ate_m"], rel=1e-3)
         assert np.isnan(other.metrics["nees"])
     assert 0.2 < topic.summary("nees").median.value < 5.0
+
+
+def test_a_batch_of_trajectories_is_scored_itself_where_no_run_has_an_estimate(batch, estimates, tmp_path, capsys):
+    runs = shutil.copytree(batch / "trajectories", tmp_path / "runs")
+    whole = score(batch / "full", "/odom", align="none")
+    assert run(["score", str(runs), "--align", "none"]) == 0
+    assert "SCORED  0 of 10 runs failed; estimate: the odometry of the runs itself" in capsys.readouterr().out
+    own = score(runs, align="none")
+    assert own.runs[0].metrics["ate_m"] == pytest.approx(whole.runs[0].metrics["ate_m"], rel=1e-3)
+    for words in (["--estimate", "/odom"], ["--outputs", str(batch / "full")]):
+        assert run(["score", str(runs), *words]) == 1
+    # beside one estimate the odometry of the other runs is none: they crashed
+    shutil.copy(estimates / "run_000003.tum", runs / "run_000003_slam.tum")
+    assert [one.status for one in score(runs, align="none").runs] == ["missing"] * 3 + ["ok"] + ["missing"] * 6
 
 
 def test_what_is_wrong_with_a_run_is_said_and_counted(batch, estimates):
@@ -187,10 +205,7 @@ def test_the_command_writes_a_baseline_and_turns_red_against_it(batch, estimates
     assert picture.stat().st_size > 10_000
     gate = ["--baseline", str(base), "--fail-if", "ate_p90 +20%"]
     assert run([*words, *gate]) == 0
-    clean = read_tum(batch / "trajectories" / "clean.tum")
-    for path in estimates.glob("run_*.tum"):
-        own = read_tum(path)
-        path.write_bytes(format_tum(own.stamps_ns, clean.xyt + 1.5 * (own.xyt - clean.xyt)))
+    localise(batch / "trajectories", estimates, 0.15)
     capsys.readouterr()
     assert run([*words, *gate]) == 1
     assert "FAILED" in capsys.readouterr().out
@@ -203,17 +218,15 @@ def test_the_command_writes_a_baseline_and_turns_red_against_it(batch, estimates
 
 @pytest.mark.parametrize(
     ("words", "code", "said"),
-    [
-        (["--fail-if", "ate_p90 +20%"], 1, "--baseline"),
-        (["--fail-if", "ate +"], 1, "not understood"),
-        (["--baseline", "BASE"], 2, "--fail-if"),
-        (["--fail-if", "ate_p90 +20%", "--baseline", "BASE"], 1, "not a result of score"),
-        (["-o", "score.gif"], 2, "ends in .gif; write .json, .png, .svg or .pdf"),
-        (["--lost", "nan"], 2, "metres"),
-        (["--truth", "/nowhere"], 1, "Name another with --truth"),
-        (["--outputs", "FULL", "--estimate", "/nowhere"], 1, "Name another with --estimate"),
-    ],
-)
+    [(["--fail-if", "ate_p90 +20%"], 1, "--baseline"),
+    (["--fail-if", "ate +"], 1, "not understood"),
+    (["--baseline", "BASE"], 2, "--fail-if"),
+    (["--fail-if", "ate_p90 +20%", "--baseline", "BASE"], 1, "not a result of score"),
+    (["-o", "score.gif"], 2, "ends in .gif; write .json, .png, .svg or .pdf"),
+    (["--lost", "nan"], 2, "metres"),
+    (["--truth", "/nowhere"], 1, "Name another with --truth"),
+    (["--outputs", "FULL", "--estimate", "/nowhere"], 1, "Name another with --estimate")],
+)  # fmt: skip
 def test_wrong_words_are_refused_in_one_line(batch, estimates, tmp_path, capsys, words, code, said):
     (tmp_path / "base.json").write_text("[]")
     given = [word.replace("BASE", str(tmp_path / "base.json")).replace("FULL", str(batch / "full")) for word in words]

@@ -44,15 +44,18 @@ def test_runs_that_part_cleanly_have_the_point_between_them():
     assert found.low < found.drift < found.high
 
 
-def test_without_a_loss_or_with_nothing_else_there_is_a_bound_and_no_point():
+def test_the_breakdown_point_is_not_extrapolated_beyond_the_drifts_of_the_runs():
     drift = np.geomspace(0.01, 0.1, 60)
     none, every = breakdown(drift, np.zeros(60, bool)), breakdown(drift, np.ones(60, bool))
-    assert none.drift is None
-    assert none.high == np.inf
-    assert none.low > 0.0
-    assert every.drift is None
-    assert every.low == 0.0
-    assert every.high < 0.05
+    assert (none.drift, none.high) == (np.inf, np.inf)
+    assert 0.0 < none.low <= drift[-1]
+    assert (every.drift, every.low, every.width) == (0.0, 0.0, None)
+    assert drift[0] <= every.high < 0.05
+    # fewer than 5 % fail at every drift, or more
+    few, many = breakdown(drift, np.arange(60) == 30), breakdown(drift, np.arange(60) % 10 == 0)
+    assert (few.drift, few.high, few.width) == (np.inf, np.inf, None)
+    assert (many.drift, many.low, many.width) == (0.0, 0.0, None)
+    assert breakdown(drift[:4], drift[:4] > 0.0).drift is None
 
 
 def test_growth_has_the_power_it_was_made_with():

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 PATHS = (TRUTH, RUNS, GREEN)
 
 
-def draw_scan_maps(maps: Sequence[ScanMap], window_m: float, added: str = "added by noise") -> Figure:
+def draw_scan_maps(maps: Sequence[ScanMap], window_m: float, added: str = "noise alone") -> Figure:
     """Draw maps side by side with equal limits; below, the distance of hits from the walls and the wall thickness."""
     left, right, bottom, top = maps[0].grid.extent
     width = 11.0

@@ -174,7 +174,7 @@ def draw_fan(outlook: Forecast, title: str) -> Figure:
         distance = [row.after_m for row in outlook.rows]
         position.plot(distance, [row.position_rms_m for row in outlook.rows], "o-", color=RUNS)
         position.set(title="How the drift grows (root mean square)", ylabel="position (m)")
-        heading.plot(distance, [math.degrees(row.heading_rms_rad) for row in outlook.rows], "s-", color=ORANGE)
+        heading.plot(distance, [math.degrees(row.heading_rms_rad) for row in outlook.rows], "o-", color=RUNS)
         heading.set(xlabel="distance driven (m)", ylabel="heading (deg)")
         for axes in (position, heading):
             axes.set(xlim=(0.0, None), ylim=(0.0, None))

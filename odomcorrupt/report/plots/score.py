@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import NullLocator
 
-from odomcorrupt.report.plots.figure import LOST, ORANGE, RUNS, SKY, TRUTH, drawing, new_figure, plain_logarithm
+from odomcorrupt.report.plots.figure import LOST, ORANGE, RUNS, TRUTH, drawing, new_figure, plain_logarithm
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -59,14 +59,14 @@ def drift(axes: Axes, report: ScoreReport) -> None:
         for quantile, style in (("median", "-"), ("p90", "--")):
             ate = [getattr(point.summary("ate_m"), quantile).value for point in points]
             axes.plot(at, ate, style, color=TRUTH, linewidth=1.2, label=f"{quantile} of a point")
-    found = report.breakdown
-    if found.drift is not None:
+    found, drifts = report.breakdown, [max(run.drift, least) for run in runs]
+    left, right = 80.0 * min(drifts, default=1.0), 125.0 * max(drifts, default=1.0)
+    if found.drift and isfinite(found.drift):
         axes.axvline(100.0 * found.drift, color=ORANGE, linewidth=1.5, label="5 % of runs lost")
-        if found.low > 0.0 and isfinite(found.high):
-            axes.axvspan(100.0 * found.low, 100.0 * found.high, color=ORANGE, alpha=0.15, linewidth=0.0)
-    drifts = [max(run.drift, least) for run in runs] + ([found.drift] if found.drift is not None else [])
+        ends = max(100.0 * found.low, left), min(100.0 * found.high, right)
+        axes.axvspan(*ends, color=ORANGE, alpha=0.15, linewidth=0.0)
     if above and all(run.metrics["ate_m"] > 0.0 for run in runs):
-        axes.set(xscale="log", yscale="log", xlim=(80.0 * min(drifts), 125.0 * max(drifts)))
+        axes.set(xscale="log", yscale="log", xlim=(left, right))
         for axis in (axes.xaxis, axes.yaxis):
             plain_logarithm(axis)
             axis.set_minor_locator(NullLocator())
@@ -88,6 +88,7 @@ def along(axes: Axes, report: ScoreReport) -> None:
     top = max((s.p90_m for s in known), default=1.0)
     axes.set(xlabel="distance driven, m", ylabel="position error, m", yscale="log", title="Error along the path")
     axes.set_ylim(bottom=1e-3 * top)
+    plain_logarithm(axes.yaxis)
     axes.legend(loc="best", fontsize=9)
 
 
@@ -95,8 +96,8 @@ def places(axes: Axes, report: ScoreReport) -> None:
     """Draw the true path, the estimates, and the places where runs were lost."""
     runs = [run for run in report.runs if run.scored]
     for run in runs[:_SHOWN]:
-        axes.plot(*run.estimate_xy.T, color=SKY, alpha=0.25, linewidth=0.6)
-    axes.plot([], [], color=SKY, label=f"{min(len(runs), _SHOWN)} estimates")
+        axes.plot(*run.estimate_xy.T, color=LOST if run.failed else RUNS, alpha=0.15, linewidth=0.7)
+    axes.plot([], [], color=RUNS, label=f"{min(len(runs), _SHOWN)} estimates")
     axes.plot(*report.clean_xy.T, color=TRUTH, linewidth=1.4, label="truth")
     lost = np.array([run.failure.xy_m for run in runs if run.failure is not None]).reshape(-1, 2)
     if len(lost):
