@@ -22,12 +22,6 @@ def drive_of(t, poses):
     return Drive(increments(poses), np.diff(t) * 1e-9, (t[1:] - t[0]) * 1e-9, poses[:-1])
 
 
-def test_a_gyro_bias_turns_a_parked_robot_and_nothing_else_moves():
-    t, poses = office(50.0, 20.0)
-    samples = NoisyPath(silent([effect_from_values("gyro_bias", {"bias": 0.01})]), 1).feed(t, poses * 0.0)
-    assert samples.error_xyt[-1] == pytest.approx([0.0, 0.0, 0.01 * 20.0], abs=1e-9)
-
-
 def test_a_robot_that_turns_several_times_as_far_as_its_odometry_says_is_put_in_and_taken_out():
     """Plain rounds run away where an effect is larger than the motion it acts on; cuts still give the same bits."""
     t, poses = office(50.0, 20.0)

@@ -180,13 +180,6 @@ def test_twists_and_covariances_stay_on_request_and_covariances_where_no_noise_i
         assert np.array_equal(read(out, ODOM, name)[1], read(before, ODOM, name)[1])
 
 
-def test_a_parked_robot_is_left_alone_but_for_covariances():
-    t = DRIVE[0]
-    messages = robot(t, np.tile([1.0, 2.0, 3.0], (len(t), 1)))
-    out, _ = run(messages, keep_covariance=True)
-    assert messages_of(out) == messages_of(blocks_of(messages))
-
-
 def test_time_that_begins_again_begins_a_new_stretch():
     t, poses = DRIVE
     first, again = robot(t, poses), robot(t, poses)

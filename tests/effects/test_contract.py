@@ -37,14 +37,6 @@ def test_every_effect_is_explained(name):
     assert set(about.confused_with) <= set(registry()) - {name}
 
 
-def test_names_are_those_of_the_catalogue():
-    catalogue = """wheel_scale unequal_wheels wheelbase lever_arm mount_yaw icr_shift gyro_bias gyro_bias_walk
-        gyro_scale side_slip accel_slip speed_scale region_slip slope turn_asymmetry scale_drift backlash slip_burst
-        gauss_markov heavy_tails quantization lost_increments time_offset clock_skew
-        sideways_scale"""
-    assert set(catalogue.split()) <= set(registry())
-
-
 def test_a_users_expression_keeps_the_contract_too():
     check_effect(
         type(user_effect("bumps", "yaw += k * v * abs(omega); along += -c * abs(v) * a", {"k": 0.1, "c": 0.02}))
