@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pytest_odomcorrupt.bags import CorruptedBag
     from pytest_odomcorrupt.gate import ErrorGate
 
-__all__ = ["corrupted_bags", "error_gate", "pytest_addoption"]
+__all__ = ["corrupted_bags", "error_gate", "pytest_addoption", "pytest_runtest_makereport"]
 
 BASELINES = "odomcorrupt_baselines"
 """Directory beside a test file with the baselines of its tests: to be committed."""
@@ -26,6 +26,21 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("odomcorrupt")
     group.addoption("--odomcorrupt-update", action="store_true", help="Replace the baselines of error_gate.")
     group.addoption("--odomcorrupt-cache", metavar="DIR", help="Where corrupted bags are kept. [pytest's cache]")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> None:
+    """Show an error of odomcorrupt, such as a missing topic, at the line of the test, without source of the library."""
+    if call.excinfo is None or not {"corrupted_bags", "error_gate"} & {*getattr(item, "fixturenames", ())}:
+        return
+    if not any(kind.__name__ == "OdomCorruptError" for kind in call.excinfo.type.__mro__):
+        return
+    last = call.excinfo.tb
+    while last.tb_next is not None:
+        if last.tb_next.tb_frame.f_globals.get("__name__", "").startswith(("odomcorrupt.", "pytest_odomcorrupt.")):
+            last.tb_next = None
+        else:
+            last = last.tb_next
 
 
 @pytest.fixture(scope="session")

@@ -323,10 +323,11 @@ def test_the_shell_completes_commands_options_and_files():
     assert set(completed("odomcorrupt in.bag out.bag --law ")) == {f"plain,{name}" for name in LAWS}
     optitrack = {"plain,optitrack-diff-drive", "plain,optitrack-tricycle"}
     assert set(completed("odomcorrupt preview in.bag --preset opti")) == optitrack
-    for words in ("export acker", "compare in.bag acker"):
-        assert completed(f"odomcorrupt {words}") == ["plain,ackermann", "file,acker"]
+    for words in ("export", "compare in.bag", "diagnose in.bag", "fit in.bag"):
+        assert completed(f"odomcorrupt {words} acker") == ["plain,ackermann", "file,acker"]
     gyro = {f"plain,{name}" for name in registry() if name.startswith("gyro")}
-    assert set(completed("odomcorrupt in.bag out.bag --effect gyro")) == gyro
+    for words in ("in.bag out.bag --effect", "simulate out.bag --effect", "batch in.bag b --sweep", "fit in.bag --add"):
+        assert set(completed(f"odomcorrupt {words} gyro")) == gyro
 
 
 def test_data_that_end_early_are_no_interruption(monkeypatch, capsys):

@@ -77,14 +77,16 @@ def test_a_failing_gate_shows_its_lines_and_no_source_of_the_plugin(tmp_path):
         "def test_it(error_gate):\n"
         "    errors = {f'run {i}': 1.0 + i for i in range(9)} | {'run 9': float('inf')}\n"
         "    error_gate(errors, statistic='median', most=2.0)\n"
+        "def test_other(corrupted_bags):\n"
+        "    corrupted_bags('nowhere.bag')\n"
     )
     words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_it.py"]
     said = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert said.returncode == 1
     assert "AssertionError: the median of 10 errors is 5.5 m, more than 2 m" in said.stdout
     assert "run 9: infinite" in said.stdout
-    assert "pytest_odomcorrupt/" not in said.stdout
-    assert "_require" not in said.stdout
+    assert "OdomCorruptError: nowhere.bag: there is no such bag" in said.stdout
+    assert not any(word in said.stdout for word in ("pytest_odomcorrupt/", "_require"))
 
 
 def test_the_gate_says_what_it_lacks(tmp_path):

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
-from click.shell_completion import CompletionItem
 
 from odomcorrupt.commands._options import (
+    EFFECTS,
     FILE,
     POSE,
     TRACK,
@@ -20,6 +19,7 @@ from odomcorrupt.commands._options import (
     Number,
     Setting,
     added,
+    completing,
     setting,
     usage_errors,
     valued,
@@ -27,7 +27,7 @@ from odomcorrupt.commands._options import (
 from odomcorrupt.errors import ModelError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from odomcorrupt.api.model import Model
@@ -41,21 +41,9 @@ _FEWEST, _MOST = 4, 6
 
 _NUMBER = re.compile(r"-?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?(deg|rad)?(/(m|rad))?\Z")
 
-
-def completing(module: str, table: str, *, files: bool = False) -> Callable[..., list[CompletionItem]]:
-    """Return a shell completion over the names in a module's table, and files; the module is imported on use."""
-
-    def complete(_ctx: click.Context, _param: click.Parameter, typed: str) -> list[CompletionItem]:
-        names = getattr(import_module(f"odomcorrupt.{module}"), table)
-        found = [CompletionItem(name) for name in (names() if callable(names) else names) if name.startswith(typed)]
-        return [*found, CompletionItem(typed, type="file")] if files else found
-
-    return complete
-
-
 effect_option = setting(
     "--effect", "--add", "effects", multiple=True, type=EffectText(), metavar="NAME:KEY=VALUE,...",
-    shell_complete=completing("effects", "registry"), help="Systematic error (repeatable).",
+    shell_complete=EFFECTS, help="Systematic error (repeatable).",
 )  # fmt: skip
 track_option = setting(
     "--track", type=TRACK, metavar="M",

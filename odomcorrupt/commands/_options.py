@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import functools
 from contextlib import contextmanager
+from importlib import import_module
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import click
 from click.core import ParameterSource
+from click.shell_completion import CompletionItem
 
 from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.extras import require
@@ -34,6 +36,21 @@ class Setting(click.Option):
 
 setting = functools.partial(click.option, cls=Setting)
 """Adds a `Setting`, as `click.option` adds an option."""
+
+
+def completing(module: str, table: str, *, files: bool = False) -> Callable[..., list[CompletionItem]]:
+    """Return a shell completion over the names in a module's table, and files; the module is imported on use."""
+
+    def complete(_ctx: click.Context, _param: click.Parameter, typed: str) -> list[CompletionItem]:
+        names = getattr(import_module(f"odomcorrupt.{module}"), table)
+        found = [CompletionItem(name) for name in (names() if callable(names) else names) if name.startswith(typed)]
+        return [*found, CompletionItem(typed, type="file")] if files else found
+
+    return complete
+
+
+MODELS = completing("model.presets", "PRESETS", files=True)
+EFFECTS = completing("effects", "registry")
 
 
 class EffectText(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only

@@ -11,7 +11,7 @@ import click
 
 from odomcorrupt.commands._bag import bag_words, container_options, moving_options, threads_option
 from odomcorrupt.commands._model import AlphaCommand, choose_condition_of_run, choose_model, map_options, model_options
-from odomcorrupt.commands._options import FILE, setting, usage_errors, valued, words_of
+from odomcorrupt.commands._options import EFFECTS, FILE, setting, usage_errors, valued, words_of
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, standard_options
 from odomcorrupt.errors import BatchError, BatchOptionError
 
@@ -61,7 +61,7 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
     help="A robot of a fleet (repeat for each): every run draws a robot by their mean and spread.",
 )  # fmt: skip
 @click.option(
-    "--sweep", "sweeps", multiple=True, metavar="NAME=V,V",
+    "--sweep", "sweeps", multiple=True, metavar="NAME=V,V", shell_complete=EFFECTS,
     help="As alpha-scale=0.5,1,2, or a range as wheel_scale.e=0..0.02 with --points (repeatable).",
 )  # fmt: skip
 @click.option("--points", type=click.IntRange(0), default=0, metavar="N", help="Cover all ranges by N Sobol points.")

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._model import completing
-from odomcorrupt.commands._options import PAGE, PICTURE
+from odomcorrupt.commands._options import MODELS, PAGE, PICTURE
 from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options
 from odomcorrupt.result_files import write_text
@@ -24,10 +23,7 @@ _NAMES = ("error", "path", "nees", "residuals", "map", "pit")
 
 
 @click.command("compare", short_help="Compare models with measurements; see where they fail.")
-@click.argument(
-    "arguments", nargs=-1, required=True, metavar="RECORDING... MODEL.toml...",
-    shell_complete=completing("model.presets", "PRESETS", files=True),
-)  # fmt: skip
+@click.argument("arguments", nargs=-1, required=True, metavar="RECORDING... MODEL.toml...", shell_complete=MODELS)
 @recording_options(
     click.option(
         "--plot", multiple=True, metavar="[NAME=]FILE",

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from odomcorrupt.commands._options import MODELS
 from odomcorrupt.commands._recordings import advice_files, advice_options, recording_options, split_arguments
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @click.command("diagnose", short_help="Name the physical effect that a model misses.")
-@click.argument("arguments", nargs=-1, required=True, metavar="RECORDING... [MODEL.toml]")
+@click.argument("arguments", nargs=-1, required=True, metavar="RECORDING... [MODEL.toml]", shell_complete=MODELS)
 @recording_options(advice_options)
 @overwrite_option("existing outputs")
 @standard_options

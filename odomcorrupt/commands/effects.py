@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import click
 
-from odomcorrupt.commands._model import completing
+from odomcorrupt.commands._options import EFFECTS
 from odomcorrupt.commands._standard import Console, standard_options
 
 
 @click.command("effects", short_help="List the physical effects, or explain one.")
-@click.argument("name", required=False, shell_complete=completing("effects", "registry"))
+@click.argument("name", required=False, shell_complete=EFFECTS)
 @standard_options
 def command(name: str | None, *, console: Console) -> None:
     """List the physical effects that make odometry depart from the truth, or explain one of them.

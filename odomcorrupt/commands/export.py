@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._model import completing
-from odomcorrupt.commands._options import FILE, OUTPUT, TRACK, Decorator, Number, setting, usage_errors, valued
+from odomcorrupt.commands._options import FILE, MODELS, OUTPUT, TRACK, Decorator, Number, setting, usage_errors, valued
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, written
 from odomcorrupt.errors import ModelError
 
@@ -28,7 +27,7 @@ def _number(
 
 
 @click.command("export", short_help="Print a model as parameters of ros2_control, nav2, robot_localization or Gazebo.")
-@click.argument("model", type=FILE, shell_complete=completing("model.presets", "PRESETS", files=True))
+@click.argument("model", type=FILE, shell_complete=MODELS)
 @click.option(
     "--to", "target", type=click.Choice(["ros2_control", "nav2", "robot_localization", "gazebo"]),
     help="Wheel multipliers, amcl's alphas, covariances, or a drive plugin.",

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._model import completing
-from odomcorrupt.commands._options import FILE, OUTPUT, Number
+from odomcorrupt.commands._options import EFFECTS, FILE, MODELS, OUTPUT, Number
 from odomcorrupt.commands._recordings import WORSE, Reading, recording_options, split_arguments
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import FitError
@@ -20,11 +19,11 @@ if TYPE_CHECKING:
 
 
 @click.command("fit", short_help="Fit a robot's motion model to odometry and truth.")
-@click.argument("recordings", nargs=-1, required=True)
+@click.argument("recordings", nargs=-1, required=True, shell_complete=MODELS)
 @click.option("-o", "--output", type=OUTPUT, help="Model file to write.")
 @recording_options(
     click.option(
-        "--add", "--effect", "add", multiple=True, metavar="EFFECT", shell_complete=completing("effects", "registry"),
+        "--add", "--effect", "add", multiple=True, metavar="EFFECT", shell_complete=EFFECTS,
         help="Effect to add to the start model (repeatable).",
     ),
     click.option("--start", type=FILE, help="Model file whose effects to refit."),

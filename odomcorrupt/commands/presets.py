@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import click
 
-from odomcorrupt.commands._model import completing
-from odomcorrupt.commands._options import usage_errors
+from odomcorrupt.commands._options import completing, usage_errors
 from odomcorrupt.commands._standard import Console, standard_options
 from odomcorrupt.errors import ModelError
 

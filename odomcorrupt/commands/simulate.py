@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from odomcorrupt.commands._options import FILE, Number, setting, usage_errors, valued
+from odomcorrupt.commands._options import EFFECTS, FILE, Number, setting, usage_errors, valued
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, overwrite_option, standard_options
 from odomcorrupt.errors import EffectError
@@ -60,7 +60,7 @@ def _size(text: str) -> float:
 @click.argument("output", type=click.Path(dir_okay=False), required=False)
 @output_option()
 @click.option(
-    "--effect", "effects", multiple=True, metavar="hidden|none|NAME[:KEY=VALUE,...]",
+    "--effect", "effects", multiple=True, metavar="hidden|none|NAME[:KEY=VALUE,...]", shell_complete=EFFECTS,
     help="Fault of the robot (repeatable; an unknown name lists all). [default: hidden]",
 )  # fmt: skip
 @valued("--size", kind=str, default="medium", text="Size of a drawn fault: weak, medium, strong, number.")

@@ -295,15 +295,13 @@ def test_a_sweep_adds_effects_and_names_its_points_by_their_values():
 
 @pytest.mark.parametrize(
     ("sweeps", "points", "said"),
-    [
-        (["alpha-scale=1..2"], 0, "go together"),
-        (["alpha-scale=1,2"], 4, "go together"),
-        (["alpha-scale=2..1"], 4, "lower value to the higher"),
-        (["alpha-scale=0..1:log"], 4, "above 0"),
-        (["speed.e=0..1"], 4, "is not known"),
-        (["wheelbase.k=0..1"], 4, "is not known"),
-    ],
-)
+    [(["alpha-scale=1..2"], 0, "go together"),
+    (["alpha-scale=1,2"], 4, "go together"),
+    (["alpha-scale=2..1"], 4, "lower value to the higher"),
+    (["alpha-scale=0..1:log"], 4, "above 0"),
+    (["speed.e=0..1"], 4, "is not known"),
+    (["wheelbase.k=0..1"], 4, "is not known")],
+)  # fmt: skip
 def test_ranges_that_make_no_sense_are_refused(sweeps, points, said):
     with pytest.raises(ModelError, match=said):
         variants(parse_model(robot(0.01)), sweeps, points)

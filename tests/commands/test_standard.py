@@ -143,14 +143,12 @@ def test_defaults_come_from_a_file_and_what_is_typed_wins(tmp_path, monkeypatch,
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [
-        ("sed = 1\n", "sed: no command has this option"),
-        ("[corrupt]\nsed = 1\n", "[corrupt] sed: is not an option"),
-        ("[corupt]\nseed = 1\n", "[corupt] is not a command"),
-        ("seed = \n", "not valid TOML"),
-        ('seed = "x"\n', "'x' is not a valid integer"),
-    ],
-)
+    [("sed = 1\n", "sed: no command has this option"),
+    ("[corrupt]\nsed = 1\n", "[corrupt] sed: is not an option"),
+    ("[corupt]\nseed = 1\n", "[corupt] is not a command"),
+    ("seed = \n", "not valid TOML"),
+    ('seed = "x"\n', "'x' is not a valid integer")],
+)  # fmt: skip
 def test_a_wrong_file_of_defaults_is_an_error(text, said, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("odomcorrupt.toml").write_text(text)

@@ -152,16 +152,14 @@ def test_a_robot_that_never_reverses_has_gone_no_way_backwards_of_either_sign():
 
 @pytest.mark.parametrize(
     ("make", "said"),
-    [
-        (lambda c: c * 0, "are all zero"),
-        (lambda c: c, "never change"),
-        (lambda c: c * np.linspace(1, 2, 5)[:, None], None),
-        (lambda c: c * 1e9, 'mean "unknown" (up to 1e+07)'),
-        (lambda c: -c, "are negative or not numbers"),
-        (lambda c: c * np.nan, "are negative or not numbers"),
-        (lambda c: c + np.eye(36)[1], "are not symmetric, or not positive"),
-    ],
-)
+    [(lambda c: c * 0, "are all zero"),
+    (lambda c: c, "never change"),
+    (lambda c: c * np.linspace(1, 2, 5)[:, None], None),
+    (lambda c: c * 1e9, 'mean "unknown" (up to 1e+07)'),
+    (lambda c: -c, "are negative or not numbers"),
+    (lambda c: c * np.nan, "are negative or not numbers"),
+    (lambda c: c + np.eye(36)[1], "are not symmetric, or not positive")],
+)  # fmt: skip
 def test_odd_covariances_are_named(make, said):
     watch = CovarianceCheck()
     covariances = make(np.tile((0.01 * np.eye(6)).ravel(), (5, 1)))

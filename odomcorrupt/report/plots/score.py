@@ -72,7 +72,8 @@ def drift(axes: Axes, report: ScoreReport) -> None:
             axis.set_minor_locator(NullLocator())
     axes.set(xlabel="drift of the odometry, % of the way (rms over 10 m)", ylabel="ATE of the estimate, m")
     axes.set_title("Error against the added drift")
-    axes.legend(loc="best", fontsize=9)
+    if runs:
+        axes.legend(loc="best", fontsize=9)
 
 
 def along(axes: Axes, report: ScoreReport) -> None:
