@@ -243,10 +243,6 @@ def test_patch_under_the_left_wheel_alone_turns_to_the_left():
     assert abs(odom[-1, 2]) < 1e-9
 
 
-def test_each_says_what_its_error_depends_on():
-    assert all(flaw.depends_on for flaw in OUTSIDE.values())
-
-
 def test_two_flaws_are_both_there():
     parameters = {"wheel_scale": {"e": 0.01}, "wheelbase": {"e": 0.02}}
     odom, truth = both(silent(("wheel_scale", "wheelbase"), parameters, STRAIGHT))

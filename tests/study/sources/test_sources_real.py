@@ -1,10 +1,12 @@
 """Public recordings are read without false alarms, and their peculiarities are reported."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.io import Source, read_runs, reader
 from recordings import RECORDINGS
 
 HALL = RECORDINGS / "real" / "tuc_lecture_hall.mcap"  # its truth jumps every half minute
@@ -14,13 +16,21 @@ pytestmark = pytest.mark.recordings
 
 
 @pytest.mark.parametrize("path", REAL, ids=lambda path: path.stem)
-def test_every_real_recording_is_one_run_with_nothing_cut_or_refused(path):
-    (recording,) = read_runs(Source(path))
+def test_every_real_recording_is_one_run_with_nothing_cut_and_says_so_when_its_truth_is_mirrored(path, monkeypatch):
+    odometry, truth = reader._read(Source(path))
+
+    def runs(seen):
+        monkeypatch.setattr(reader, "_read", lambda _: (odometry, seen))
+        return read_runs(Source(path))
+
+    (recording,) = runs(truth)
     assert not recording.mistakes
     assert np.isnan(recording.truth.xyt[:, 2]).all() == path.stem.startswith("plaza")
     said = " ".join(recording.notes)
     assert not any(word in said for word in ("outlier", "reset", "jump", "filter", "set back", "headings turn exactly"))
     assert ("a simulation without noise" in said) == path.stem.startswith("rob521")
+    (mirrored, *_) = runs(replace(truth, frame="", xyz=truth.xyz * [1.0, -1.0, 1.0], yaw_rad=-truth.yaw_rad))
+    assert [one.name for one in mirrored.mistakes] == ["left and right exchanged"]
 
 
 def test_a_truth_that_jumps_is_cut_into_stretches_and_every_jump_is_said():
@@ -30,24 +40,6 @@ def test_a_truth_that_jumps_is_cut_into_stretches_and_every_jump_is_said():
     assert f"{len(recordings)} independent stretches used" in said
     starts, ends = zip(*((r.truth.stamps_ns[0], r.truth.stamps_ns[-1]) for r in recordings), strict=True)
     assert all(start > end for start, end in zip(starts[1:], ends[:-1], strict=True))
-
-
-@pytest.mark.parametrize("path", REAL, ids=lambda path: path.stem)
-def test_every_real_recording_says_so_when_its_truth_is_mirrored(path, monkeypatch):
-    from odomcorrupt.study.io import reader
-
-    honest = reader._read
-
-    def mirrored(source):
-        odometry, truth = honest(source)
-        flipped = truth.xyz * [1.0, -1.0, 1.0]
-        return odometry, type(truth)(
-            truth.place, truth.name, "", truth.stamps_ns, flipped, -truth.yaw_rad, truth.log_ns, truth.variance_m2
-        )
-
-    monkeypatch.setattr(reader, "_read", mirrored)
-    (recording, *_) = read_runs(Source(path))
-    assert [one.name for one in recording.mistakes] == ["left and right exchanged"]
 
 
 @pytest.mark.parametrize(
