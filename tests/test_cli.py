@@ -101,7 +101,7 @@ SAID_BACK = {
     "--preset article": [
         "Once per message acts the law linear: these numbers mean a drift of 0.", "per 10 m at this bag's 50 Hz",
     ],
-    "--effect wheel_scale:e=0.01": ["No noise; effects wheel_scale (e 0.01)"],
+    "--effect wheel_scale:e=0.01": ["No noise; effects wheel_scale (e 0.01)"], "--preset husky": ["(mean of preset "],
     "--twist-noise 0.2 0.04": ["white_v 0.2 white_omega 0.04", "Once per message acts white noise on twists: these"],
 }  # fmt: skip
 

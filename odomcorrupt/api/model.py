@@ -250,7 +250,7 @@ class Model:
             If there is no such preset.
         """
         preset = preset_named(name)
-        return cls.of(preset.model, f"preset {preset.name}: {preset.source}")
+        return cls.of(preset.model, f"{'mean of ' * bool(preset.spread)}preset {preset.name}: {preset.source}")
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the model as human-readable TOML; return the path.

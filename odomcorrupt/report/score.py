@@ -182,8 +182,7 @@ def _kinds(report: ScoreReport) -> str:
 def sentences(report: ScoreReport) -> list[str]:
     """Return the results over all runs, a sentence each, the most important first."""
     lines = [f"{report.failed} of {len(report.runs)} runs failed{_kinds(report)}."]
-    without = sum(not run.scored for run in report.runs)
-    if without:
+    if without := sum(not run.scored for run in report.runs):
         lines.append(f"Errors of runs without a complete output, {without}, count as infinite.")
     if report.identical:
         lines.append("The estimates are identical in all runs: your localisation was not run again.")

@@ -25,7 +25,7 @@ STUDIED = ("truths.md", "mistakes.md")
 OWN_TESTS = ("tutorial.md", "tutorial-laser.md", "pipelines.md", "api.md")
 FOREIGN = ("replay_testing.md", "pytest.md", "lambkin.md", "cluster.md")
 """Pages that have a test of their own, and pages whose Python is run by another program."""
-LACKING = ("--scan ", "--returns", "--method laser", "/fix", "/tf:map.base", "/door", "--dask")
+LACKING = ("--scan ", "--returns", "--method laser", "/fix", "/tf:map.base", "--dask")
 """Parts of commands for recordings or computers that are not here: only their options are read."""
 IMU = "{gyroscope_noise_density: 1e-3, accelerometer_noise_density: 1e-2, gyroscope_random_walk: 1e-4, \
 accelerometer_random_walk: 1e-3, update_rate: 100.0}"
@@ -92,7 +92,7 @@ def prepare(page):
 def paste(line, capsys):
     """Run a command, of fewer runs; into a file, if it says so."""
     words, _, target = line.split("  #")[0].partition(" > ")
-    words = re.sub(r"--(runs|points) \d+", r"--\1 8", re.sub(r"--exclude-topic \S+", "", words))
+    words = re.sub(r"--(runs|points) \d+", r"--\1 8", re.sub(r"--exclude-topic (/tf:|/amcl)\S+", "", words))
     if words.startswith("score"):
         localise("--estimate" in words)
     code = run(shlex.split(words))
