@@ -147,13 +147,13 @@ _Written: TypeAlias = tuple[RobotFit, RoundTrip, Reproduction]
 def _supported(
     search: Learned, recordings: Sequence[Recording], held_out: Sequence[Recording], work: Work
 ) -> tuple[Learned, _Written, list[str]]:
-    """Return a search without the parts that held-out data do not support or that no model file can have, and remarks.
+    """Return a search without the parts that other data do not support or that no model file can have, and remarks.
 
     A part that has no inverse may have been balanced by another one, so the others are refitted and tested again.
     """
     remarks: list[str] = []
     while True:
-        search, parts = drop_unsupported_parts(search, held_out)
+        search, parts = drop_unsupported_parts(search, held_out) if held_out else (search, ())
         work.begin("fit", 0.8, 3.2)
         remaining, written, more = _without_excess(search, recordings)
         unusable = written[1].left_out

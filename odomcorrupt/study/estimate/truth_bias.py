@@ -129,12 +129,6 @@ def turn_errors(problem: Problem, noise: NoiseFit) -> Array:
     return turns
 
 
-def scale_errors(problem: Problem, noise: NoiseFit) -> Array:
-    """Return the posterior mean (R,) of the scale error of each recording's truth; positive if it is too long."""
-    factor = noise.whitener.whiten(bias_roots(problem)[:, :, :1]).T @ noise.innovations
-    return np.array([r.truth_scale_error for r in problem.recordings]) * factor
-
-
 def _smooth_motion(problem: Problem) -> tuple[Array, Array, Array]:
     """Return the residual of travel (K, 2) and turns (K,) per unit of scale error of the truth, and speeds (K,).
 

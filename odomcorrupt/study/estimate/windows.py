@@ -30,7 +30,7 @@ from odomcorrupt.geometry.se2 import between, rotate
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.model.noise_laws import variances
 from odomcorrupt.study.estimate.intervals import cut_at, intervals_between, join, pick_interval_ends
-from odomcorrupt.study.estimate.truth_bias import has_bias, scale_errors, turn_errors
+from odomcorrupt.study.estimate.truth_bias import turn_errors
 from odomcorrupt.study.estimate.whitener import FLOOR, interval_covariance
 from odomcorrupt.study.io.headings import alignment, with_recomputed_headings
 
@@ -395,18 +395,6 @@ class Drift(NamedTuple):
         # phases share their data: the mean of their standard errors, as of one phase
         deviation = np.mean([np.std(d, ddof=1) / np.sqrt(len(d)) for d in more])
         return bool(np.mean([np.mean(d) for d in more]) > errors * deviation)
-
-
-def with_truths_corrected(recordings: Sequence[Recording], fitted: Fit) -> list[Recording]:
-    """Return recordings without the errors of their truths that a fit estimates: scales of lasers, biases of gyros."""
-    if not has_bias(fitted.problem):
-        return list(recordings)
-    errors = scale_errors(fitted.problem, fitted.noise).tolist()
-    scaled = [
-        replace(r, truth=replace(r.truth, xyt=r.truth.xyt / (1.0 + error, 1.0 + error, 1.0)))
-        for r, error in zip(recordings, errors, strict=True)
-    ]
-    return with_gyros_corrected(scaled, fitted)
 
 
 def with_gyros_corrected(recordings: Sequence[Recording], fitted: Fit) -> list[Recording]:

@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.candidates import Candidate
@@ -296,20 +297,23 @@ class _Selection:
                 self.terms, self.fit = kept, before
 
     def _gains(self) -> dict[int, float]:
-        """Return the gain of each term of the model beside the others, by its index, nats."""
+        """Return the gain of each term of the model beside the others minus its cost, by its index, nats."""
+        return {i: float(folds.sum() - self.evidence.cost[i]) for i, folds in self._held_out().items()}
+
+    def _held_out(self) -> dict[int, Array]:
+        """Return the gain (F,) of each term of the model beside the others on each left-out fold, by its index."""
         without = [tuple(j for j in self.chosen if j != i) for i in self.chosen]
-        gains = self.evidence.gains([self.chosen, *without]).folds.sum(axis=1)
-        cost = self.evidence.cost
-        return {i: float(gains[0] - other - cost[i]) for i, other in zip(self.chosen, gains[1:], strict=True)}
+        folds = self.evidence.gains([self.chosen, *without]).folds
+        return dict(zip(self.chosen, folds[0] - folds[1:], strict=True))
 
     def _compare_with_process(self) -> None:
-        """Replace terms of the model by a random process if that is likelier, costs included.
+        """Replace terms of the model of one drive by a random process if that is likelier, costs included.
 
         The course of a bias over one drive is also a function of time, of places that are passed once, or a sum of
-        several effects. So the selection is repeated beside a process, from the model without its basis functions and
-        drifts, and from the term with the largest gain alone. Of several drives it may leave no larger 10 s error.
+        several effects; over several drives none of these recurs. So the selection is repeated beside a process, from
+        the model without its basis functions and drifts, and from the term with the largest gain alone.
         """
-        if len(self.fit.random) >= self.decisions.max_correlated:
+        if self.dictionary.recurring or len(self.fit.random) >= self.decisions.max_correlated:
             return
         before, terms, noise = self.fit, self.terms, list(self.noise)
         named = [name for name, term in terms.items() if not (isinstance(term, BasisTerm) or name in _OF_TIME)]
@@ -317,8 +321,6 @@ class _Selection:
         if len(terms) > _SEVERAL:
             starts.append([self.competing[i].name for i in self._order(self._gains())[:1]])
         best, least = (before, terms, noise), 0.0
-        share = self.decisions.practical.share if self.dictionary.recurring else np.inf
-        most_m = (1.0 + share) * ten_second_error(before)
         for kept in starts:
             self.fit = before.refit([e for e in before.effects if e.name in self.given or e.name in kept])
             self.terms, self.noise = {name: terms[name] for name in kept}, list(noise)
@@ -328,7 +330,7 @@ class _Selection:
             likelier = self.fit.refit(weights_of=before).log_likelihood - before.refit(weights_of=before).log_likelihood
             numbers = float(np.log(len(before.problem.intervals)))  # two numbers of a process, by half of it each
             gain = likelier - numbers - self._cost(self.terms) + self._cost(terms)
-            if gain > least and ten_second_error(self.fit) < most_m:
+            if gain > least:
                 best, least = (self.fit, self.terms, self.noise), gain
         self.fit, self.terms, self.noise = best
         self._linearise()
@@ -396,6 +398,10 @@ class _Selection:
             disagreements=disagreements(final, self.decisions.heterogeneity_level),
             contradictions=tuple(one for one in tested if one.contradicts_physics(self.decisions)),
             decisions=self.decisions,
+            held_out={
+                self.competing[i].name: (float(folds.sum()), float(folds.std(ddof=1) * np.sqrt(len(folds))))
+                for i, folds in self._held_out().items()
+            },
         )
 
     def _order(self, gains: Mapping[int, float]) -> list[int]:
@@ -406,7 +412,7 @@ class _Selection:
         """Return the fits with none, one, two, ... of the effects of the model, the largest gain first."""
         effects = [self.fit.by_name[self.competing[i].name] for i in self._order(self._gains())]
         given = [e for e in self.fit.effects if e.name in self.given]
-        return [*(self.fit.refit((*given, *effects[:k])) for k in range(len(effects))), self.fit]
+        return [*(self.fit.refit((*given, *effects[:k]), weights_of=self.fit) for k in range(len(effects))), self.fit]
 
     def _clocks_of(self, final: Fit, clocks: Clocks, gains: Mapping[int, float], found: Sequence[Dependence]) -> Clocks:
         """Return the clocks of the final model, with the evidence for them and for others in their place."""

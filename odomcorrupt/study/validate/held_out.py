@@ -5,9 +5,8 @@ recording cannot apply to another drive: its mean is kept in its place, if it is
 support it, since tracks and radii stay about as they are.
 
 Each effect, dependence and random gain is removed in turn, the others are refitted, and both models are evaluated on
-the same windows and intervals of held-out data: other recordings of the robot, or folds of the fitted ones, each
-evaluated by a fit to the others (`cross_validation`). Differences are paired, so that difficult data count against
-neither.
+the same windows and intervals of other recordings of the robot. Differences are paired, so that difficult data count
+against neither. Without other recordings, the evidence of the selection on left-out folds is the only measure.
 """
 
 from __future__ import annotations
@@ -19,15 +18,12 @@ import numpy as np
 
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.estimate.calibrate import model_of
-from odomcorrupt.study.estimate.gauss_newton import fit_problem
-from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, part_name
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
-from odomcorrupt.study.estimate.windows import Drift, phased_misses, ten_second_error, with_truths_corrected
+from odomcorrupt.study.estimate.windows import Drift, phased_misses, ten_second_error
 from odomcorrupt.study.io.clock import aligned
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.confidence import EVEN_ODDS, confidence, noise_support, support_of
-from odomcorrupt.study.validate.cross_validation import HELD_BY, Fold, split_of
 from odomcorrupt.study.validate.evaluation import block_differences, evaluate_stretch
 from odomcorrupt.study.validate.evaluation_clocks import clocks_beside
 
@@ -36,8 +32,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.estimate.problem import Problem
-    from odomcorrupt.study.io.clock import Clock
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.result import Learned
@@ -80,21 +74,24 @@ class HeldOut:
         return f"{self.name} was found, but is not in the model: {self.failure}"
 
 
-def drop_unsupported_parts(learned: Learned, others: Sequence[Recording] = ()) -> tuple[Learned, tuple[HeldOut, ...]]:
+def drop_unsupported_parts(learned: Learned, others: Sequence[Recording]) -> tuple[Learned, tuple[HeldOut, ...]]:
     """Return the learned model without parts that fail on held-out data, and the test of each part.
+
+    Effects of places have no meaning on others in frames of their own (maps of a laser): these are not tested.
 
     Parameters
     ----------
     learned : result of the selection
-    others : recordings of the same robot not used in the selection, if any
+    others : recordings of the same robot not used in the selection
     """
     fitted, said = learned.fit, list[HeldOut]()
-    clocks = clocks_beside(others, fitted.problem.approach, model_of(fitted)).clocks if others else ()
+    clocks = clocks_beside(others, fitted.problem.approach, model_of(fitted)).clocks
+    on_time = [aligned(r, c) for r, c in zip(others, clocks, strict=True)]
     placed = shared_frame([*fitted.problem.recordings, *others]) is not None
-    while parts := [(part,) for part in _parts(fitted)]:
+    while parts := [(part,) for part in _parts(fitted) if placed or not part.reads_places]:
         # Also test all parts jointly: each may compensate another's error while all of them are worse than none.
-        together = tuple(part for (part,) in parts if placed or not part.reads_places)
-        found = _test(fitted, [*parts, *([together] if len(together) > 1 else [])], others, clocks)
+        together = [tuple(part for (part,) in parts)] if len(parts) > 1 else []
+        found = _test(fitted, [*parts, *together], on_time)
         worst = max((one for one in found if one[1].failure), key=lambda one: -one[1].nats, default=None)
         if worst is None:
             each = [(own, one) for own, one in found if len(own) == 1]
@@ -202,58 +199,19 @@ def _others(effects: Sequence[Effect], parts: Sequence[Effect]) -> list[Effect]:
 
 
 def _test(
-    fitted: Fit, groups: Sequence[tuple[Effect, ...]], others: Sequence[Recording], clocks: Sequence[Clock]
+    fitted: Fit, groups: Sequence[tuple[Effect, ...]], others: Sequence[Recording]
 ) -> list[tuple[tuple[Effect, ...], HeldOut]]:
-    """Return the held-out test of each group of parts that can be tested; an empty list if no fit is possible.
+    """Return the held-out test of each group of parts on other recordings; an empty list if no refit is possible."""
 
-    Effects of places have no meaning on others in frames of their own (maps of a laser): these are tested on halves.
-    """
-    placed = shared_frame([*fitted.problem.recordings, *others]) is not None
-    own = [not placed and all(part.reads_places for part in group) for group in groups]
+    def judged(one: Fit) -> list[Evaluation]:
+        model = model_of(one, one.random)
+        return [evaluate_stretch(r, model, fitted.problem.approach) for r in others]
+
     try:
-        folds = {here: _folds(fitted, () if here else others, clocks) for here in set(own)}
-        whole = {here: [judged for fold in some for judged in _judged(fitted, *fold)] for here, some in folds.items()}
-        lacking = [
-            (group, here, _without(fitted, group)) for group, here in zip(groups, own, strict=True) if folds[here]
-        ]
-        return [
-            (group, _verdict(group, whole[here], [j for fold in folds[here] for j in _judged(without, *fold)]))
-            for group, here, without in lacking
-        ]
+        whole = judged(fitted)
+        return [(group, _verdict(group, whole, judged(_without(fitted, group)))) for group in groups]
     except FitError:
         return []
-
-
-def _judged(fitted: Fit, fold: Fold, trained: Problem | None) -> list[Evaluation]:
-    """Return the evaluations on a fold of a fit's model, refitted to the others if it was fitted to the fold.
-
-    trained : problem of the others; None keeps the fit
-    """
-    problem = fitted.problem
-    if trained is None:
-        model = model_of(fitted, fitted.random)
-    else:
-        held = HELD_BY * fitted.standard_errors
-        refitted = fit_problem(
-            trained.at(fitted.effects),
-            random=fitted.random,
-            start=fitted.noise.free,
-            held=np.where(held > 0.0, held, np.inf),
-        )
-        model = model_of(refitted, refitted.random)
-    return [evaluate_stretch(r, model, problem.approach, inflation=fold.inflation) for r in fold.test]
-
-
-def _folds(fitted: Fit, others: Sequence[Recording], clocks: Sequence[Clock]) -> list[tuple[Fold, Problem | None]]:
-    """Return the folds to test parts on, with the problem to refit on; none if there is one recording, too short."""
-    if others:
-        return [(Fold(tuple(aligned(r, c) for r, c in zip(others, clocks, strict=True))), None)]
-    problem = fitted.problem
-    # all folds have the truth's own errors; what they leave of a drift of scale is not that of the wheels
-    corrected = with_truths_corrected(problem.recordings, fitted)
-    on_time = [aligned(r, c) for r, c in zip(corrected, problem.clocks, strict=True)]
-    folds = split_of(on_time, [True] * len(on_time), problem.approach.spacing_s).folds(on_time)
-    return [(fold, pose_problem(fold.train, fitted.effects, approach=problem.approach)) for fold in folds if fold.train]
 
 
 def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequence[Evaluation]) -> HeldOut:
