@@ -9,6 +9,7 @@ from wandering import drive, noisy_path, recording, scaled, wander
 
 from odomcorrupt.api.recordings import recording_paths
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import Increments, between, compose
 from odomcorrupt.geometry.trajectory import Trajectory
@@ -359,3 +360,15 @@ def test_a_load_that_was_put_on_is_said_and_not_only_called_noise():
 @pytest.mark.slow
 def test_recordings_of_one_robot_agree():
     assert learn([loaded(seed, scale=0.01) for seed in (805, 806)]).disagreements == ()
+
+
+@pytest.mark.slow
+def test_what_is_learned_depends_neither_on_names_nor_on_order_of_recordings(drives):
+    found = learn(drives)
+    assert {effect.name for effect in found.fit.effects} >= {"wheel_scale", "wheelbase"}
+    other = learn([replace(drives[i], name=f"copy {i}") for i in (3, 0, 4, 2, 1)])
+    for one, same in zip(found.fit.effects, other.fit.effects, strict=True):
+        assert one.name == same.name
+        for p in amplitudes(one):
+            assert getattr(same, p.name) == pytest.approx(getattr(one, p.name), rel=1e-4)
+    assert other.held_out == {name: pytest.approx(gain, rel=1e-3) for name, gain in found.held_out.items()}

@@ -17,6 +17,7 @@ import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.study.io.clock import clock_leaders, led
+from odomcorrupt.study.io.recording import ranks_of
 
 if TYPE_CHECKING:
     from collections.abc import Container
@@ -35,13 +36,17 @@ _LENGTH_S, _FEWEST, _MOST = 15.0, 20, 60
 
 
 def block_of(problem: Problem) -> NDArray[np.int64]:
-    """Return the block index (K,) of each interval: blocks are about 15 s long and never span two runs."""
+    """Return the block index (K,) of each interval: blocks are about 15 s long and never span two recordings.
+
+    Neither they nor their order depend on the order of the recordings.
+    """
     intervals, run = problem.intervals, problem.run
     total = float(np.sum(intervals.end_s - intervals.start_s))
     length = total / int(np.clip(total / _LENGTH_S, _FEWEST, _MOST))
     end_s = [intervals.end_s[run == r] for r in np.unique(run)]
     within = np.concatenate([((own_s - own_s[0]) / length).astype(np.int64) for own_s in end_s])
-    return np.unique(np.stack((run, within)), axis=1, return_inverse=True)[1].ravel()
+    rank = ranks_of(problem.recordings)[run]
+    return np.unique(np.stack((rank, within)), axis=1, return_inverse=True)[1].ravel()
 
 
 def between_blocks(block: NDArray[np.int64], pull: Array, r: Array) -> tuple[Array, Array]:

@@ -191,6 +191,12 @@ def shared_frame(recordings: Sequence[Recording]) -> str | None:
     return frames.pop() if len(frames) == 1 else None
 
 
+def ranks_of(recordings: Sequence[Recording]) -> NDArray[np.int64]:
+    """Return the ranks (R,) of recordings by the last pose and first stamp of their odometry: in any order the same."""
+    keys = [(*r.odometry.xyt[-1].tolist(), int(r.odometry.stamps_ns[0])) for r in recordings]
+    return np.argsort(sorted(range(len(keys)), key=keys.__getitem__))
+
+
 _SKETCH, _DIGITS = 16, 8
 """Number of hashes in a sketch, of which half a recording has none in one of 65 000 cases; digits of each."""
 

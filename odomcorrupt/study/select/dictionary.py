@@ -21,6 +21,7 @@ from odomcorrupt.errors import EffectError
 from odomcorrupt.study.estimate.gauss_newton import orthonormal, prior_deviations
 from odomcorrupt.study.estimate.robust_errors import block_of
 from odomcorrupt.study.io.clock import clock_leaders
+from odomcorrupt.study.io.recording import ranks_of
 from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.evidence import FOLDS, Evidence
 from odomcorrupt.study.select.periodic import flat_spots, waves
@@ -255,7 +256,8 @@ def linearised(
         white -= basis @ (basis.T @ white)
         residual -= basis @ (basis.T @ residual)
     # whole recordings if there are enough of them, else blocks
-    fold = np.repeat((problem.run if problem.run.max(initial=0) + 1 >= FOLDS else block_of(problem)) % FOLDS, 3)
+    rank = ranks_of(problem.recordings)
+    fold = np.repeat((rank[problem.run] if len(rank) >= FOLDS else block_of(problem)) % FOLDS, 3)
     gram = np.stack([white[fold == k].T @ white[fold == k] for k in range(FOLDS)])
     score = np.stack([white[fold == k].T @ residual[fold == k] for k in range(FOLDS)])
     first = np.concatenate(([0], np.cumsum([part.shape[2] for part in columns]))).astype(np.int64)

@@ -16,6 +16,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.study.estimate.intervals import LEAST_INTERVALS, count_intervals
 from odomcorrupt.study.io.clock import clock_leaders
+from odomcorrupt.study.io.recording import ranks_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -89,7 +90,8 @@ def split_of(recordings: Sequence[Recording], fitted: Sequence[bool], spacing_s:
     own = [i for i, is_known in enumerate(known) if is_known]
     others = [(i,) for i, is_known in enumerate(known) if not is_known]
     enough = [i for i in own if sum(count_intervals(r, spacing_s) for r in runs[i]) >= LEAST_INTERVALS] or own
-    groups = _balanced({i: (-sum(_seconds(r) for r in runs[i]), *_content(runs[i][0])) for i in enough})
+    ranks = ranks_of(recordings)
+    groups = _balanced({i: (-sum(_seconds(r) for r in runs[i]), float(ranks[rows[i][0]])) for i in enough})
     # runs that are too short for a fit of their own are grouped with the longest
     groups[:1] = [tuple(sorted((*group, *(i for i in own if i not in enough)))) for group in groups[:1]]
     middle, notes = None, list[str]()
@@ -117,15 +119,10 @@ def _seconds(recording: Recording) -> float:
     return float(inside[-1] - inside[0]) * 1e-9 if len(inside) else 0.0
 
 
-def _content(recording: Recording) -> tuple[float, ...]:
-    """Return what orders recordings of one duration: the last pose and the first stamp of their odometry."""
-    return (*recording.odometry.xyt[-1].tolist(), float(recording.odometry.stamps_ns[0]))
-
-
-def _balanced(runs: Mapping[int, tuple[float, ...]]) -> list[tuple[int, ...]]:
+def _balanced(runs: Mapping[int, tuple[float, float]]) -> list[tuple[int, ...]]:
     """Return at most `_MOST_FOLDS` groups of runs of about equal duration: the longest first, each to the shortest.
 
-    runs : minus the duration (s) of each run, and values that order runs of the same one
+    runs : minus the duration (s) of each run, and its rank among runs of the same one
     """
     groups: list[list[int]] = [[] for _ in range(min(len(runs), _MOST_FOLDS))]
     lengths = np.zeros(len(groups))
