@@ -30,7 +30,7 @@ WORDS = {2: "two", 13: "thirteen"}
         f"off by more than {1e3 * D.far_clock_s:g} ms", f"at least {D.clear_errors:g} standard errors over folds",
         f"evidence is at most {D.rival_nats:g} nats smaller",
         f"gains {D.correlated_nats:g} nats after its penalty beside", f"has to gain {D.mean_reverting_nats:g} nats",
-        f"at most {WORDS[D.max_dependences]} in all", f"its confidence is below {D.least_confidence:g},",
+        f"at most {WORDS[D.max_dependences]} in all",
         f"10 s error would grow by less than {100 * D.practical.share:g} %",
         f"error over {FAR_M:g} m of path by less than {100 * D.practical.far_share:g} %",
         f"or it moves less than {1e3 * D.practical.per_m:g} mm per metre",

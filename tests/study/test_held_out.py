@@ -69,18 +69,6 @@ def test_other_recordings_of_the_robot_decide_where_there_are_any():
 
 
 @pytest.mark.slow
-def test_a_name_that_is_hardly_likely_stays_only_where_held_out_data_need_it():
-    learned = learned_with(scaled_drive(4, wide=1.05), "wheelbase", "wheel_scale")
-    doubted = replace(learned, against={"wheelbase": 1e12, "wheel_scale": 1e12})
-    others = [replace(scaled_drive(6, wide=1.05), name="other")]
-    kept, _ = drop_unsupported_parts(learned, others)
-    assert [effect.name for effect in kept.fit.effects] == ["wheelbase", "wheel_scale"]
-    kept, said = drop_unsupported_parts(doubted, others)
-    assert [effect.name for effect in kept.fit.effects] == ["wheelbase"]
-    assert ["confidence 0.00" in one.failure for one in said] == [True, False]
-
-
-@pytest.mark.slow
 def test_a_gain_that_held_out_data_do_not_show_caps_the_confidence():
     learned = learn([scaled_drive(4, wide=1.02)])
     (step,) = learned.steps

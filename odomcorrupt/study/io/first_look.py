@@ -495,7 +495,10 @@ def _mirrored_headings(look: Look, i: int) -> Figures | None:
     alone = own.agreement[1] > _FOLLOWS and (own.agreement[0] < _CLEAR or doubts[i] > 4.0 > 4.0 * doubts[1 - i])
     if own.chords < _FEWEST or not alone or _turn_between(look.paths[i]) > _LOST:
         return None
-    axis = 1.0 if look.correlations[2, 2] < 0.0 else -1.0
+    # the path by itself turns as the other trajectory does, or is mirrored
+    one, other = look.paths
+    bare = replace(look, paths=(one, other.without_headings()) if i else (one.without_headings(), other))
+    axis = 1.0 if bare.correlations[2, 2] > 0.0 else -1.0
     return {"i": i, "undo": lambda p: replace(p, xyz=p.xyz * [1.0, axis, 1.0], yaw_rad=-axis * p.yaw_rad)}
 
 
@@ -912,7 +915,22 @@ def _turns_too_far(look: Look) -> Figures | None:
     """Find odometry that turns by about half a turn and more from one message to the next, unlike the truth."""
     path, (_, there, _), most = look.paths[0], look.windows, _turn_between(look.paths[0])
     usual = float(np.percentile(np.abs(there[:, 2]), 95.0)) * path.span_s / len(path) / look.window_s
-    return {"most": np.degrees(most), "usual": np.degrees(usual)} if most > _LOST > 10.0 * usual else None
+    if not most > _LOST > 10.0 * usual:
+        return None
+    # chords of a path that turns so fast are short, the path itself is not
+    far = float(distance_along(path.xyz[:, :2])[-1]) / path.span_s / max(look.own[1].speed_mps, 1e-9)
+    causes = ["wheel separation in other units (centimetres, millimetres)", "degrees for radians"]
+    if look.paths[1].headed:
+        # turns beyond half a turn, too, agree with those of the truth in degrees, but for whole turns
+        origin, (here_s, there_s) = int(path.stamps_ns[0]), look.windows[2]
+        at_s = path.t_s + (there_s - here_s)[0]
+        truth = np.interp(at_s, look.paths[1].seconds_since(origin), np.unwrap(look.paths[1].yaw_rad))
+        apart = [np.diff(path.yaw_rad) - k * np.diff(truth) for k in (UNITS["centimetres"], READINGS[-1])]
+        causes = causes[:: -1 if _concentration(apart[1]) > _concentration(apart[0]) else 1]
+    said = "; ".join(causes)
+    if far > UNITS["feet"]:
+        said = f"wheel radius in other units (centimetres, millimetres): it travels about {far:.0f} times as far, too"
+    return {"most": np.degrees(most), "usual": np.degrees(usual), "causes": said}
 
 
 def _turns_otherwise(look: Look) -> Figures | None:
@@ -1031,8 +1049,7 @@ PATTERNS = (
             "these stretches are left out", _stands),
     Pattern("turns too far",
             "{who} turns by {most} deg and more between messages, {other} by {usual}: beyond 180 deg turns are lost",
-            "degrees for radians; wheel separation or radius in other units (centimetres, millimetres)",
-            "give lengths in metres and angles in radians; " + _RECORD, "", _turns_too_far),
+            "{causes}", "give lengths in metres and angles in radians; " + _RECORD, "", _turns_too_far),
     Pattern("wheel gains", "{who} moves as with wheels {each} (this explains {explained})",
             "{cause}", "{change}", "{then}", _wheel_gains),
     Pattern("forward is -x", "{who} drives backwards where the truth drives forwards (correlation {corr}); turns agree",

@@ -91,8 +91,6 @@ class Decisions:
         a lower probability
     counted_nats : gain assigned to lost increments and ticks, which are counted in the odometry
 
-
-    least_confidence : an effect with a lower probability is removed, unless held-out data support it
     heterogeneity_level : probability of reporting any difference between recordings of an unchanged robot
     prior : weights in the reported probabilities
     practical : limits of practical significance
@@ -133,7 +131,6 @@ class Decisions:
     map_nats: float = 20.0
     least_chance: float = 0.05
     counted_nats: float = 100.0
-    least_confidence: float = 0.1
     heterogeneity_level: float = 1e-3
     prior: PriorOdds = field(default_factory=PriorOdds)
     practical: Practical = field(default_factory=Practical)

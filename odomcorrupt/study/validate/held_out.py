@@ -1,9 +1,5 @@
 """Held-out tests of each part of a learned model; parts that make predictions clearly worse are dropped.
 
-Also dropped are parts of low confidence that held-out data do not support. A dependence on the time of a single
-recording cannot apply to another drive: its mean is kept in its place, if it is a fraction of the motion and the halves
-support it, since tracks and radii stay about as they are.
-
 Each effect, dependence and random gain is removed in turn, the others are refitted, and both models are evaluated on
 the same windows and intervals of other recordings of the robot. Differences are paired, so that difficult data count
 against neither. Without other recordings, the evidence of the selection on left-out folds is the only measure.
@@ -23,7 +19,6 @@ from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.estimate.windows import Drift, phased_misses, ten_second_error
 from odomcorrupt.study.io.clock import aligned
 from odomcorrupt.study.io.recording import shared_frame
-from odomcorrupt.study.select.confidence import EVEN_ODDS, confidence, noise_support, support_of
 from odomcorrupt.study.validate.evaluation import block_differences, evaluate_stretch
 from odomcorrupt.study.validate.evaluation_clocks import clocks_beside
 
@@ -41,8 +36,6 @@ _SIGNIFICANT = 2.0
 """Standard errors beyond which a paired difference counts as significant."""
 _WORSE = {"factor": 1.02, "plain": 1.15, "errors": _SIGNIFICANT}
 """Thresholds at which a 10 s error counts as larger, see `Drift.worse_than`."""
-_DOUBTFUL = 1.05
-"""Ratio of 10 s errors with and without a doubtful part from which it is dropped (judgement: 2 to 10 %)."""
 _MIN_BLOCKS = 6
 """Fewest blocks of 15 s for a significance test of the likelihood."""
 
@@ -55,8 +48,6 @@ class HeldOut:
     ten_second_error_m : without the part, and with it
     drift_nats : gain of log likelihood of the errors over 10 s windows, planar and normal with free variances
     failure : reason why the part was dropped; "" if it was kept
-    needed : whether the 10 s error is clearly larger without the part, or the likelihood significantly smaller
-    doubtful : whether the 10 s error is larger with the part by 5 %, significant or not
     """
 
     name: str
@@ -65,8 +56,6 @@ class HeldOut:
     ten_second_error_m: tuple[float, float]
     drift_nats: float
     failure: str
-    needed: bool
-    doubtful: bool
 
     @property
     def remark(self) -> str:
@@ -98,8 +87,6 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording]) -> tup
             # A part may show in single intervals or in the drift over seconds: take the larger gain.
             gained = {one.name: (max(one.nats, one.drift_nats), one.error) for _, one in each}
             learned = replace(learned, held_out=gained)
-            worst = _least_confident(each, replace(learned, fit=fitted))
-        if worst is None:
             said += [one for _, one in each]
             break
         said.append(worst[1])
@@ -158,34 +145,6 @@ def _beside(unknown: Sequence[Dependence], laws: Sequence[Dependence], kept: Con
     return tuple(found)
 
 
-def _least_confident(
-    found: Sequence[tuple[tuple[Effect, ...], HeldOut]], learned: Learned
-) -> tuple[tuple[Effect, ...], HeldOut] | None:
-    """Return the part of lowest confidence, if it is hardly likely, or below even odds and the error grows with it.
-
-    A confidence refers to the name of a cause; a part that improves predictions stays even if its name is doubtful.
-    With a wrong cause at other speeds or in other bends, predictions may be worse than without it.
-    """
-    evidence = {step.added: support_of(step, learned) for step in learned.steps if step.added is not None}
-    evidence |= {part_name(gain.effect): noise_support(gain, learned) for gain in learned.noise}
-    certain = [
-        (confidence(evidence[one.name], learned.decisions.prior), parts, one)
-        for parts, one in found
-        if one.name in evidence
-    ]
-    hardly = learned.decisions.least_confidence
-    dropped = [
-        each for each in certain if each[0] < (EVEN_ODDS if each[2].doubtful else 0.0 if each[2].needed else hardly)
-    ]
-    least, parts, one = min(dropped, key=lambda each: each[0], default=(1.0, (), None))
-    if one is None:
-        return None
-    return parts, replace(
-        one,
-        failure=f"other causes are likelier (confidence {least:.2f}), and the error does not clearly grow without it",
-    )
-
-
 def _parts(fitted: Fit) -> list[Effect]:
     return [*(effect for effect in fitted.effects if effect.kind != "setup"), *fitted.random]
 
@@ -238,6 +197,4 @@ def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequ
         ten_second_error_m=(base.rmse, with_it.rmse),
         drift_nats=2.0 * windows * np.log(base.rmse / with_it.rmse) if base.rmse > 0.0 < with_it.rmse else 0.0,
         failure=failure,
-        needed=closer or nats > _SIGNIFICANT * error,
-        doubtful=with_it.rmse > _DOUBTFUL * base.rmse,
     )

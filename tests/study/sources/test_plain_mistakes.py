@@ -149,7 +149,8 @@ def test_one_of_four_wheels_that_counts_the_wrong_way_and_two_that_are_exchanged
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        (lambda rows: trajectory(rows * [1.0, 1.0, 100.0], every=4), "beyond 180 deg turns are lost"),
+        (lambda rows: trajectory(rows * [1.0, 1.0, 100.0], every=4), "are lost; usual causes: wheel separation in"),
+        (lambda rows: trajectory(rows * 100.0, every=4), "are lost; usual causes: wheel radius .* about 9. times"),
         (lambda rows: replace(trajectory(rows), yaw_rad=np.zeros(len(rows) + 1)), "they never change"),
         (lambda rows: trajectory(rows * [1.0, 1.0, 0.0]), "never turns, .* does"),
         (lambda rows: trajectory(np.roll(rows, len(rows) // 2, axis=0) * [0, 0, 1] + 2.2 * rows * [1, 1, 0]), "follow"),
@@ -158,6 +159,13 @@ def test_one_of_four_wheels_that_counts_the_wrong_way_and_two_that_are_exchanged
 def test_turns_from_which_nothing_can_be_learned(wrong, said, headed):
     with pytest.raises(RecordingError, match=said):
         first_look(Look((wrong(driven(6)), real(driven(6), headed=headed))))
+
+
+@pytest.mark.parametrize(("times", "first"), [(180.0 / np.pi, "degrees for"), (100.0, "wheel sep")])
+def test_turns_by_more_than_half_a_turn_show_whether_they_are_degrees(times, first):
+    rows = driven(6)
+    with pytest.raises(RecordingError, match=f"are lost; usual causes: {first}"):
+        first_look(Look((trajectory(rows * [1.0, 1.0, times], every=4), real(rows))))
 
 
 def test_a_tracked_point_beside_the_centre_does_not_drive_in_reverse():
