@@ -59,6 +59,9 @@ _OF_ONE_DRIVE = ("time", "distance")
 """Regressors that no manoeuvre varies: another drive shows whether an error recurs."""
 
 
+_EXACT = Line("exact", "0.1 mm of error per metre at most: a simulator's odometry, or a truth made of it", weight=FIRST)
+
+
 class _Group(IntEnum):
     """Groups of findings in their order; names below even odds are doubtful."""
 
@@ -112,14 +115,13 @@ def findings_brief(
     elif unexplained:
         ratios = search.fit.problem.recordings[0].ratios or "a first look shows no plain mistake"
         verdict, tone, first = "UNKNOWN", "warning", f"nothing found explains the errors; {ratios}"
-    elif verdict == "COMPLETE" and last.verdict.fails:
+    elif verdict == "COMPLETE" and last.verdict.fails and not search.hardly_errs:
         verdict, tone = "PROBABLY", "warning"
     lines = [Line(verdict, first, tone), *lines[named:]]
     lines[at:at] = [
         *_change_lines(search, fit, written),
         *(Line("data", alert, "warning", FIRST) for alert in alerts),
-        *_drift_lines(search, reproduction),
-        *_rejected_lines(last),
+        *([_EXACT] if search.hardly_errs else [*_drift_lines(search, reproduction), *_rejected_lines(last)]),
         *_written_lines(search, written),
         # the identity of an effect is more important than its gain
         *open_lines(search, advice),
@@ -180,17 +182,15 @@ def _error_lines(comparison: Comparison) -> list[Line]:
 def _written_lines(search: Learned, written: MotionModel | None) -> list[Line]:
     """Return the effects of the fit that the written model lacks."""
     kept = {effect.name for effect in written.effects} if written is not None else set(search.added)
-    fitted = {effect.name for effect in search.fit.effects if effect.kind != "setup"}
-    absent = [name for name in search.added if name in fitted - kept]
+    absent = [e.name for e in search.fit.effects if e.kind != "setup" and e.name in set(search.added) - kept]
     said = f"without {' and '.join(absent)}, which cannot be applied as found (-v states why)"
     return [Line("model", said, "warning", FIRST)] if absent else []
 
 
 def _rejected_lines(last: ModelEvaluation) -> list[Line]:
     """Return that the last model is still rejected, and by how much."""
-    misfit = last.verdict.misfit
-    why = "the noise is too large: " if misfit < 1.0 else ""
-    said = f"{why}errors are {plainly(misfit)} times the predicted ones"
+    why = "the noise is too large: " if last.verdict.misfit < 1.0 else ""
+    said = f"{why}errors are {plainly(last.verdict.misfit)} times the predicted ones"
     return [Line("rejected", said, "warning", FIRST)] if last.verdict.fails else []
 
 
@@ -202,8 +202,8 @@ def _drift_lines(search: Learned, reproduction: Reproduction | None) -> list[Lin
     """Return how far a simulation with the model would drift, if that is far too little or too much."""
     if reproduction is None or (reproduction.holds and _bursts(search)):
         return []
-    said = reproduction_sentence(reproduction)
-    return [Line("outliers" if reproduction.holds else "drift", said, "warning", FIRST)] if said else []
+    label = "outliers" if reproduction.holds else "drift"
+    return [Line(label, said, "warning", FIRST)] if (said := reproduction_sentence(reproduction)) else []
 
 
 def _verdict(search: Learned, comparison: Comparison, lines: Sequence[Line]) -> tuple[str, Tone]:

@@ -108,8 +108,7 @@ def test_of_two_processes_of_one_name_only_the_one_that_fails_leaves_the_model()
     fitted = fit([run], random=both, approach=Approach())
     learned = replace(learned_with(run), fit=fitted, noise=tuple(DetectedRandomEffect(one, 20.0) for one in both))
     left = without_parts(learned, {"gauss_markov (yaw)": "it fails"})
-    assert left.fit.random == (both[0],)
-    assert [gain.effect for gain in left.noise] == [both[0]]
+    assert (left.fit.random, [gain.effect for gain in left.noise]) == ((both[0],), [both[0]])
     assert part_name(both[1]) in left.left_out
 
 
@@ -166,6 +165,12 @@ def test_a_large_cause_matters_and_what_chance_makes_of_another_does_not(learned
     assert not strict.is_negligible("wheel_scale")
     assert not learned.is_negligible("wheel_scale")  # nobody measured it
     assert contributions(learned.fit.refit([])) == {}
+
+
+def test_nothing_is_searched_in_odometry_that_is_exact():
+    exact = drive(4, 60.0, Coefficients(0.0, 0.0, 0.0, 0.0), said=scaled(1.0 + 2e-5), truth_mm=0.01, truth_rad=1e-5)
+    found = learn([exact])
+    assert (found.hardly_errs, found.fit.effects) == (True, ())
 
 
 def test_it_is_measured_on_recordings_that_were_not_fitted_where_there_are_any(learned):

@@ -18,7 +18,7 @@ from odomcorrupt.errors import FitError
 from odomcorrupt.geometry.se2 import between
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.study.estimate.problem import undo
-from odomcorrupt.study.estimate.windows import distance_windows, time_windows
+from odomcorrupt.study.estimate.windows import WINDOW_S, distance_windows, time_windows
 from odomcorrupt.study.io.clock import aligned
 from odomcorrupt.study.io.headings import with_recomputed_headings
 from odomcorrupt.study.io.recording import shared_frame
@@ -26,6 +26,7 @@ from odomcorrupt.study.io.recording import shared_frame
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from odomcorrupt.geometry.motion import Motion
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
     from odomcorrupt.study.estimate.gauss_newton import Fit
@@ -83,6 +84,13 @@ class Contribution:
         if not self.ten_seconds.negligible(practical.share, practical.per_m):
             return False
         return self.far is None or self.far.negligible(practical.far_share, practical.per_m)
+
+
+def is_exact(error_m: float, motions: Sequence[Motion], practical: Practical) -> bool:
+    """Return whether an error after 10 s is negligible beside the travel in that time, as of a simulator's odometry."""
+    travelled_m = sum(float(np.sum(m.travel)) for m in motions)
+    duration_s = sum(float(np.sum(m.dt_s)) for m in motions)
+    return error_m < practical.per_m * WINDOW_S * travelled_m / max(duration_s, 1e-9)
 
 
 def contributions(

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from odomcorrupt.study.estimate.drive_type import drive_type_of, readings_of
-from odomcorrupt.study.estimate.windows import WINDOW_S
+from odomcorrupt.study.select.contribution import is_exact
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions
 
 if TYPE_CHECKING:
@@ -135,10 +133,7 @@ class Learned:
     @property
     def hardly_errs(self) -> bool:
         """Whether the remaining error is negligible in practice."""
-        motions = self.fit.problem.motions
-        travelled_m = sum(float(np.sum(m.travel)) for m in motions)
-        per_s = travelled_m / max(sum(float(np.sum(m.dt_s)) for m in motions), 1e-9)
-        return self.error_m < self.decisions.practical.per_m * WINDOW_S * per_s
+        return is_exact(self.error_m, self.fit.problem.motions, self.decisions.practical)
 
     def why_left_out(self, one: Dependence) -> str:
         """Return why a dependence that the selection included is not in the model; "" for others."""

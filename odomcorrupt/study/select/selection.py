@@ -27,6 +27,7 @@ from odomcorrupt.study.estimate.windows import phased_rmse, ten_second_error
 from odomcorrupt.study.io.clock import Clock, clock_leaders
 from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
 from odomcorrupt.study.select.candidates import drop_term, score_terms, tested_candidates
+from odomcorrupt.study.select.contribution import is_exact
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions
 from odomcorrupt.study.select.dependence import Dependence, dependence_of
 from odomcorrupt.study.select.dictionary import (
@@ -116,7 +117,9 @@ def learn(
         random=[e for e in start if e.name in CORRELATED_NOISE],
     )
     noise = [DetectedRandomEffect(e, decisions.counted_nats) for e in encoders]
-    found = _Selection(first, {e.name for e in start}, choice, decisions, work, noise).run()
+    found = _Selection(first, {e.name for e in start}, choice, decisions, work, noise)
+    if not is_exact(ten_second_error(first), first.problem.motions, decisions.practical):
+        found.run()
     return replace(
         found.result(clocks),
         first_clocks=clocks if same_data else None,
@@ -164,12 +167,12 @@ class _Selection:
         problem = self.fit.problem
         return self.clocks.released(problem.clocks, problem.recordings, self.decisions.far_clock_s)
 
-    def run(self) -> _Selection:
-        """Select terms and random processes in turn until neither changes; return self."""
+    def run(self) -> None:
+        """Select terms and random processes in turn until neither changes."""
         self._select()
         if self._contradicts_physics():
             self.fit, self.terms = self.fit.refit([e for e in self.fit.effects if e.name in self.given]), {}
-            return self
+            return
         self._compare_with_process()
         while self._include_process():
             self._select()
@@ -182,7 +185,6 @@ class _Selection:
         if bursts or effects != list(self.fit.effects):
             # the error of bursts is an effect, and not noise of every step
             self.fit = self.fit.refit((*effects, *bursts))
-        return self
 
     def _contradicts_physics(self) -> bool:
         """Return whether one effect gains more than the whole model, but only with a sign that physics forbids."""

@@ -163,9 +163,8 @@ def test_turns_from_which_nothing_can_be_learned(wrong, said, headed):
 
 @pytest.mark.parametrize(("times", "first"), [(180.0 / np.pi, "degrees for"), (100.0, "wheel sep")])
 def test_turns_by_more_than_half_a_turn_show_whether_they_are_degrees(times, first):
-    rows = driven(6)
     with pytest.raises(RecordingError, match=f"are lost; usual causes: {first}"):
-        first_look(Look((trajectory(rows * [1.0, 1.0, times], every=4), real(rows))))
+        first_look(Look((trajectory(driven(6) * [1.0, 1.0, times], every=4), real(driven(6)))))
 
 
 def test_a_tracked_point_beside_the_centre_does_not_drive_in_reverse():
