@@ -79,7 +79,7 @@ per sideways speed has one sign on both halves). {why}
 
 {short}
 
-Before the zero of its steering is in the model, the clocks of the tricycle's runs seem to be far off: by 0.1 to 0.8 s and
+Before the zero of its steering is in the model, clocks of the tricycle's runs seem to be far off: by 0.1 to 0.8 s and
 0.4 to 1.6 %. They are then free in every model, diverge beside a lag, and the better sets of effects are refused.
 """
 
