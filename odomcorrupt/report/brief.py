@@ -93,6 +93,7 @@ def findings_brief(
     reproduction : drift of the final model relative to the recordings, if known
     """
     undecided = {name for choice in advice.choices for name in choice.names}
+    exact = search.hardly_errs and not search.fit.effects  # without a model, not beside one
     fit, last = search.fit if robot is None else robot.fit, comparison.evaluations[-1]
     lines, negligible = _found_lines(search, fit, undecided)
     verdict, tone = _verdict(search, comparison, lines)
@@ -109,19 +110,18 @@ def findings_brief(
         apart = ", and ".join([*_clock_words(search), *([mounted] if mounted else [])])
         none = "no relevant effect is missing" if negligible else "no known effect explains more than chance"
         first = f"the robot's model is complete; {apart}" if apart else none
-    by_outliers = reproduction is not None and reproduction.too_small and reproduction.by_outliers
-    if by_outliers and not named:
+    if reproduction is not None and reproduction.too_small and reproduction.by_outliers and not named:
         verdict, tone, first = "MISSING", "warning", "slip_burst or push: intervals that the fit left out as outliers"
     elif unexplained:
         ratios = search.fit.problem.recordings[0].ratios or "a first look shows no plain mistake"
         verdict, tone, first = "UNKNOWN", "warning", f"nothing found explains the errors; {ratios}"
-    elif verdict == "COMPLETE" and last.verdict.fails and not search.hardly_errs:
+    elif verdict == "COMPLETE" and last.verdict.fails and not exact:
         verdict, tone = "PROBABLY", "warning"
     lines = [Line(verdict, first, tone), *lines[named:]]
     lines[at:at] = [
         *_change_lines(search, fit, written),
         *(Line("data", alert, "warning", FIRST) for alert in alerts),
-        *([_EXACT] if search.hardly_errs else [*_drift_lines(search, reproduction), *_rejected_lines(last)]),
+        *([_EXACT] if exact else [*_drift_lines(search, reproduction), *_rejected_lines(last)]),
         *_written_lines(search, written),
         # the identity of an effect is more important than its gain
         *open_lines(search, advice),
