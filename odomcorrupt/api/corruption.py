@@ -18,7 +18,6 @@ from odomcorrupt.api.model import Model, ModelLike, as_model
 from odomcorrupt.api.result import Result
 from odomcorrupt.bags.provenance import ProvenanceWatcher
 from odomcorrupt.bags.source import temporary_copy, temporary_folder
-from odomcorrupt.correction import run as correction
 from odomcorrupt.corruption.correction import Curve
 from odomcorrupt.corruption.covariance import pose_covariance
 from odomcorrupt.corruption.patch import Motions, TopicTwist
@@ -81,10 +80,8 @@ class Corruption(Result):
     @property
     def moved(self) -> dict[str, int]:
         """Number of modified messages per topic, and of modified transforms per TF edge "parent -> child"."""
-        moved: Counter[str] = Counter()
-        for robot in (self.outcome, *self.outcome.others):
-            moved += robot.changes.odometry + robot.changes.edges + robot.changes.noisy
-        return dict(moved)
+        changes = (robot.changes for robot in (self.outcome, *self.outcome.others))
+        return dict(sum((one.odometry + one.edges + one.noisy for one in changes), Counter[str]()))
 
     @property
     def losses(self) -> tuple[str, ...]:
@@ -97,8 +94,7 @@ class Corruption(Result):
 
     def details(self) -> str:
         """Return the complete result in one paragraph."""
-        said = (paragraph(self.outcome, self.model.origin), self.map_account, *self._again)
-        return " ".join(part for part in said if part)
+        return " ".join(filter(None, (paragraph(self.outcome, self.model.origin), self.map_account, *self._again)))
 
     @property
     def _again(self) -> list[str]:
@@ -200,10 +196,9 @@ def corrupt(
             bag = temporary_copy(sys.stdin.buffer, temporary_folder(kept) / "bag", "stdin") if bag is None else bag
             drive = clean_drive_of(bag, chosen.motion_model, moved, recover=container.recover)
             path = condition.path(chosen.motion_model, drawn, run, drive)
-        metadata = {} if condition is None else condition.provenance()
         outcome = corrupt_bag(
             bag, bag_path(target), chosen.motion_model, seed=drawn, run=run, options=moved, container=container,
-            watch=watcher, path=path, metadata=metadata, also=also,
+            watch=watcher, path=path, metadata={} if condition is None else condition.provenance(), also=also,
         )  # fmt: skip
     account = "" if path is None else path.account()
     return Corruption(fspath(source), fspath(target), chosen, outcome, account, watcher.provenance(bag_path(source)))
@@ -233,11 +228,15 @@ class Correction(Result):
 
     def summary(self) -> Summary:
         """Return the effects removed, how far that moved the odometry, and the remaining error."""
-        return correction.brief(self.outcome, self.target)
+        from odomcorrupt.correction.run import brief as brief_correction
+
+        return brief_correction(self.outcome, self.target)
 
     def details(self) -> str:
         """Return the complete result in one paragraph."""
-        return correction.correction_summary(self.outcome)
+        from odomcorrupt.correction.run import correction_summary
+
+        return correction_summary(self.outcome)
 
     def _values(self) -> dict[str, Any]:
         effects, run = self.outcome.effects, self.outcome.run
@@ -302,13 +301,14 @@ def correct(
     >>> [effect.name for effect in done.outcome.effects.undone]
     ['wheelbase']
     """
-    before = drive_path(source)
-    moved, container = split_options(options)
+    from odomcorrupt.correction.run import correct_bag, require_start
+
+    before, (moved, container) = drive_path(source), split_options(options)
     robot = NOISE_FREE if model is None else as_model(model).motion_model
     if start_xyt is None:
-        correction.require_start(robot)
+        require_start(robot)
     start = None if start_xyt is None or start_xyt == "odom" else np.array(start_xyt, dtype=np.float64)
-    outcome = correction.correct_bag(
+    outcome = correct_bag(
         before, bag_path(target), robot, options=moved, container=container, start_xyt=start, watch=watch
     )
     return Correction(fspath(source), fspath(target), outcome)

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import struct
 from contextlib import suppress
-from io import BytesIO
 from typing import TYPE_CHECKING
 
-from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode as Op
 
-from odomcorrupt.bags.mcap.chunk import RECORD_HEADER_BYTES, McapFraming
+from odomcorrupt.bags.mcap.chunk import RECORD_HEADER_BYTES, Fields, McapFraming
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
-
-    from mcap.records import Metadata
 
     from odomcorrupt.bags.block import Block
 
@@ -39,9 +34,8 @@ class ProvenanceWatcher:
         """Read the metadata of a block."""
         if isinstance(block.raw, McapFraming) and block.raw.opcode == Op.METADATA:
             # a damaged record, or one of another program, tells nothing
-            with suppress(struct.error, UnicodeDecodeError, EndOfFile):
-                record = metadata_of(block)
-                self._found += [record.metadata] if record.name == NAME else []
+            with suppress(BagError):
+                self._found += filter(None, [metadata_of(block)])
         self._watch(block)
 
     def provenance(self, source: Path | None) -> tuple[dict[str, str], ...]:
@@ -62,9 +56,13 @@ class ProvenanceWatcher:
         return (own,) if own else ()
 
 
-def metadata_of(block: Block) -> Metadata:
-    """Return the metadata record that a block of an MCAP consists of."""
-    from mcap.data_stream import ReadDataStream  # noqa: PLC0415 - slow to import, and seldom needed
-    from mcap.records import Metadata  # noqa: PLC0415 - as above
+def metadata_of(block: Block) -> dict[str, str]:
+    """Return the metadata in a block that is a record of an MCAP, {} for those of another name.
 
-    return Metadata.read(ReadDataStream(BytesIO(block.data.tobytes()[RECORD_HEADER_BYTES:])))
+    Raises
+    ------
+    BagError
+        If the record is damaged.
+    """
+    fields = Fields(block.data[RECORD_HEADER_BYTES:].tobytes(), "metadata")
+    return fields.mapping() if fields.string() == NAME else {}

@@ -217,7 +217,7 @@ class _Messages:
     def _messages(self) -> Iterator[tuple[str, int, memoryview]]:
         for block in self._reader.blocks():
             if isinstance(block.raw, McapFraming) and block.raw.opcode == Op.METADATA:
-                self.provenance = metadata_of(block).metadata
+                self.provenance = metadata_of(block)
             for channel, log_ns, offset, length in block.table.tolist():
                 yield self._reader.channels[channel].topic, log_ns, block.data.data[offset : offset + length]
 

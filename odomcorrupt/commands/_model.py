@@ -194,7 +194,7 @@ def _refined(model: Model, step: str | None, twist_noise: tuple[float, float] | 
     return Model.of(replace(model.motion_model, noise=noise), model.origin)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ChosenMove:
     """A motion (poses before and after it, metres and radians) with its noise, and the number of samples."""
 
@@ -285,8 +285,6 @@ def choose_condition(
     given: Mapping[str, Any], bag: Path | None, odom_frame: str, *, recover: bool = False
 ) -> MapCondition | None:
     """Return the map condition of the options, None if they name no map."""
-    from odomcorrupt.mapping.conditioned import is_map_file, read_condition
-
     name = given["map_"]
     if name is None:
         context = click.get_current_context()
@@ -295,6 +293,8 @@ def choose_condition(
             if of_map and context.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE:
                 raise click.UsageError(f"{option.opts[0]}: needs a map; name it with --map")
         return None
+    from odomcorrupt.mapping.conditioned import is_map_file, read_condition
+
     if bag is None and not is_map_file(name):
         raise click.UsageError(f"--map {name}: without a bag a map is a .yaml file")
     asked = {key: given[key] for key in ("map_pose", "unknown", "check", "tries")}

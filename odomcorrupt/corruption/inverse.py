@@ -92,7 +92,7 @@ def solve(stage: Sequence[tuple[Effect, State]], clean: Array, true: Motion, *, 
     return Solution(f, states, scale)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class _Equations:
     """u' = clean - f(u') over n intervals.
 

@@ -255,7 +255,7 @@ class Target(NamedTuple):
     follows: Relations | None = None
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Changes:
     """Counts of moved messages: by topic, by edge "parent -> child", and those stamped after the end of C(t).
 

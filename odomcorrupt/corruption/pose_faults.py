@@ -33,7 +33,7 @@ _SECTORS, _MIN_SECTORS = 24, 8
 _MIN_PART, _NEARLY_ALL = 0.002, 0.98  # parts of the poses in a visited sector, and of those about the x axis alone
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class ComponentOrder:
     """Test of quaternions for components in the order w, x, y, z instead of x, y, z, w.
 
@@ -98,7 +98,7 @@ PER_METRE = {"feet": 1.0 / 0.3048, "inches": 1.0 / 0.0254, "centimetres": 100.0,
 _OF_A_UNIT = 1.06
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class TwistTravel:
     """Travel and turn of an odometry topic by its poses and by its twists, m and rad, in the order of arrival.
 
@@ -171,7 +171,7 @@ _APART_M = 0.01
 """Poses of two publishers are this far apart at least: less is the noise of one."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class Alternation:
     """Test of a path for alternation between two, as of two publishers of one topic or TF edge.
 
@@ -217,7 +217,7 @@ class Alternation:
 _FEW = 10
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class PoseFaults:
     """Counts of unusable poses of an odometry topic.
 

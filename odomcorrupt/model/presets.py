@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 DEFAULT = "typical"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Preset:
     """A named model and its source.
 

@@ -22,7 +22,7 @@ ANY_STEP = Step(1.0, 1.0)
 """For laws that do not depend on the step."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Drift:
     """Growth of the variances: per metre of a straight drive, and per radian of a turn on the spot.
 
