@@ -177,15 +177,12 @@ def test_a_model_file_brings_noise_and_effects_and_alpha_overrides_its_noise(cor
     (["--preset", "article", "--alpha", "0", "0", "0", "0"], "--alpha and --preset both define noise"),
     (["--step", "0.25m,0.2rad"], "the law diffusion is the same at every step: leave --step out"),
     (["--preset", "article", "--step", "often"], "step: 'often'; write message"),
-    (["--effect", "wheel_scale:e"], "'e' is not key=number"),
-    (["--effect", "wheel_scale:x=1"], "has no parameter 'x'"),
+    (["--effect", "wheel_scale:e"], "'e' is not key=number"), (["--effect", "wheel_scale:x=1"], "has no parameter 'x'"),
     (["--effect", "wheel_scale:e=7000"], "e: 7000; it must lie in"),
     (["--effect", "wheel_scale=0.01"], "write wheel_scale:e=0.01"),
     (["--effect", "unequal_wheels:curvature=1%"], "is a share, but the parameter has the unit rad/m"),
     (["--alpha", "0.05,0.02,0.05,0.01"], "put spaces between the numbers: --alpha 0.05 0.02 0.05 0.01"),
-    (["--seed", "-1"], "--seed"),
-    (["--nonsense"], "--nonsense"),
-    (["third"], "unexpected extra argument")],
+    (["--seed", "-1"], "--seed"), (["--nonsense"], "--nonsense"), (["third"], "unexpected extra argument")],
 )  # fmt: skip
 def test_wrong_usage_is_one_line_exit_code_two_and_no_output(corrupt, args, sentence):
     require_refused(corrupt(*args), 2, sentence)

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from odomcorrupt.bags.output import Original
+
 
 Kind = Literal["ros1", "mcap", "sqlite3"]
 """What a bag is stored as."""
@@ -47,7 +49,7 @@ class Definition(NamedTuple):
     metadata: Mapping[str, str]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Channel:
     """A topic of one publisher.
 
@@ -72,7 +74,7 @@ class Message(NamedTuple):
     data: bytes
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Framing:
     """How a block's messages lie in its file: here bare, with nothing between them.
 
@@ -107,8 +109,7 @@ class Block:
     added : messages to append, in order
     ends : end offsets of the chunks that were joined; empty for a single chunk
     part : index of the file that it is from, of a bag of several
-    changed : (n,) rows of the table; all other messages are as they were read. None if this is not known
-    sparse : position in the input file and CRC-32 of each chunk, if the data have only messages that were asked for
+    sparse : each chunk in the input file, if the data have only messages that were asked for
     """
 
     data: NDArray[np.uint8]
@@ -117,8 +118,7 @@ class Block:
     added: list[Message] = field(default_factory=list)
     ends: tuple[int, ...] = ()
     part: int = 0
-    changed: NDArray[np.int64] | None = None
-    sparse: tuple[tuple[int, int], ...] = ()
+    sparse: tuple[Original, ...] = ()
 
     def present(self) -> set[int]:
         """Return the ids of the channels of its messages."""

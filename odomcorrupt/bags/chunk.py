@@ -207,12 +207,9 @@ def _require_crc(head: ChunkHead, actual: int, named: str) -> None:
 
 
 def record_blocks(
-    pieces: Iterator[bytes | memoryview],
-    size: int,
-    record_bytes: RecordBytes,
-    place: Callable[[int], NDArray[np.uint8]],
-    what: str,
-) -> Iterator[NDArray[np.uint8]]:
+    pieces: Iterator[bytes | memoryview], size: int, record_bytes: RecordBytes,
+    place: Callable[[int], NDArray[np.uint8]], what: str,
+) -> Iterator[NDArray[np.uint8]]:  # fmt: skip
     """Yield the records of a chunk in blocks of about 4 MB, or of one record that is larger.
 
     The blocks do not depend on how the stream is divided into pieces. The last one ends in the middle of a record if

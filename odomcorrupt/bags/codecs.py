@@ -272,12 +272,6 @@ class _Zstd(threading.local):
         self.decompressor = zstandard.ZstdDecompressor()
         self.compressors: dict[int, zstandard.ZstdCompressor] = {}
 
-    def compressor(self, level: int) -> zstandard.ZstdCompressor:
-        """Return the compressor of a level, created once."""
-        if level not in self.compressors:
-            self.compressors[level] = zstandard.ZstdCompressor(level=level)
-        return self.compressors[level]
-
 
 _zstd = _Zstd()
 
@@ -363,7 +357,9 @@ def compress(codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | 
     """
     require_level(codec, level)
     if codec == "zstd":
-        return _zstd.compressor(1 if level is None else level).compress(data.data)
+        level = 1 if level is None else level
+        own = _zstd.compressors.get(level) or _zstd.compressors.setdefault(level, zstandard.ZstdCompressor(level=level))
+        return own.compress(data.data)
     if codec == "lz4":
         return lz4.frame.compress(data.data, compression_level=level or 0, block_linked=False)
     if codec == "bz2":

@@ -219,16 +219,9 @@ def _with_storage(form: Form, storage: str | None, name: str) -> Form:
 
 
 def open_writer(
-    path: Path | None,
-    reader: BagReader,
-    *,
-    overwrite: bool = False,
-    compression: str | None = None,
-    level: int | None = None,
-    stream: BinaryIO | None = None,
-    workers: Workers | None = None,
-    form: Form | None = None,
-) -> BagWriter:
+    path: Path | None, reader: BagReader, *, overwrite: bool = False, compression: str | None = None,
+    level: int | None = None, stream: BinaryIO | None = None, workers: Workers | None = None, form: Form | None = None,
+) -> BagWriter:  # fmt: skip
     """Return a writer for a bag, which appears under its name when the writer's context ends without an error.
 
     path : None or "-" for a pipe

@@ -13,13 +13,20 @@ import stat
 import sys
 import threading
 import zlib
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import BinaryIO, Self
+from typing import TYPE_CHECKING, BinaryIO, Self
 
 from odomcorrupt.bags.checksum import combined, crc32
+from odomcorrupt.bags.pipeline import OrderedResults
 from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
+    from odomcorrupt.bags.pipeline import Workers
 
 _BAG_SUFFIXES = (".yaml", ".db3", ".mcap", ".db3-wal", ".db3-shm", ".zstd", ".zst")
 _LEFT = re.compile(r"\.(?P<name>.*)\.(?P<host>[0-9a-f]{8})\.(?P<pid>\d{1,9})\.[0-9a-f]{8}\.partial(?:-.*)?", re.DOTALL)
@@ -91,7 +98,9 @@ def place(partial: Path, path: Path, *, overwrite: bool) -> None:
             ) from error
         with suppress(FileNotFoundError):
             partial.chmod(stat.S_IMODE(path.stat().st_mode))
-        _sync(partial)
+        for file in partial.iterdir() if partial.is_dir() else [partial]:
+            with file.open("rb") as stream:
+                os.fsync(stream.fileno())
         _replace(partial, path)
 
 
@@ -174,12 +183,6 @@ def _rename_flagged(partial: Path, path: Path, flag: int) -> bool:
     raise OSError(code, os.strerror(code), str(path))
 
 
-def _sync(path: Path) -> None:
-    for file in path.iterdir() if path.is_dir() else [path]:
-        with file.open("rb") as stream:
-            os.fsync(stream.fileno())
-
-
 _AT_ONCE_BYTES = 16 << 20
 """Bytes copied by one system call; an interrupt waits for the end of a call."""
 
@@ -194,11 +197,10 @@ _CHANGED = "changed while it was read; the output is discarded, run again once t
 
 
 class FileCopy:
-    """Running copy of a file, from one position to its end, to the same position of another file.
+    """Running copy of a file, from one position to the end; ends early if the system has no such call, or it fails.
 
-    The copy ends early if the system has no such call, or if the call fails. What is written over it is
-    written between calls, many pieces at once: each would wait for the lock of the file until a call ends.
-
+    paused : lock without which no call begins. What is written over the copy is written under it, many pieces at once:
+        each would wait for the lock of the file until a call ends
     source : file to be copied
     target : descriptor of the file that is written. Its file offset does not change
     begin : position of the first byte to copy
@@ -220,39 +222,17 @@ class FileCopy:
         self._position = begin
         self._ended = self._stopped = False
         self._progress = threading.Condition()
-        self._flushing = threading.Lock()
-        self._kept: list[tuple[int, bytearray]] = []
-        self._kept_bytes = 0
+        self.paused = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="copy", daemon=True)
         self._thread.start()
 
     def reaches(self, end: int | None = None) -> bool:
         """Wait until the bytes before `end`, or all, are copied, or the copy has ended; return whether they are."""
         end = self._state[0] if end is None else end
-        with self._progress:
-            self._progress.wait_for(lambda: self._position >= end or self._ended)
+        if self._position < end:
+            with self._progress:
+                self._progress.wait_for(lambda: self._position >= end or self._ended)
         return self._position >= end
-
-    def write(self, position: int, piece: bytes | memoryview) -> None:
-        """Write bytes over the copy, now or later."""
-        if self._kept and self._kept[-1][0] + len(self._kept[-1][1]) == position:
-            self._kept[-1][1].extend(piece)
-        else:
-            self._kept.append((position, bytearray(piece)))
-        self._kept_bytes += len(piece)
-        if self._kept_bytes > _KEPT_BYTES:
-            self.flush()
-
-    def flush(self) -> None:
-        """Write the bytes that have waited."""
-        with self._flushing:
-            for position, piece in self._kept:
-                view = memoryview(piece)
-                while view:
-                    done = os.pwrite(self._target, view, position)
-                    view, position = view[done:], position + done  # noqa: PLW2901
-        self._kept.clear()
-        self._kept_bytes = 0
 
     def stop(self) -> None:
         """End the copy early."""
@@ -273,7 +253,7 @@ class FileCopy:
         with suppress(OSError, AttributeError):
             while not self._stopped and (left := self._state[0] - self._position) > 0:
                 at = self._position
-                with self._flushing:  # no call begins before what waits is written
+                with self.paused:
                     pass
                 done = os.copy_file_range(self._source, self._target, min(left, _AT_ONCE_BYTES), at, at)
                 if not done:
@@ -286,23 +266,39 @@ class FileCopy:
             self._progress.notify_all()
 
 
-_BUFFER_BYTES = 1 << 16
-"""Size of the buffer that collects small pieces."""
+_AT_POSITIONS = hasattr(os, "pwrite")
+"""Whether several threads can write to a file."""
 
-_PIECE_BYTES = 1 << 18
-"""Bytes of one write of a large piece, which the buffer does not copy; with 1 MB the system may need larger pages."""
+
+def _write_at(
+    descriptor: int, pieces: list[tuple[int, bytearray | memoryview]], pause: AbstractContextManager[object]
+) -> None:
+    """Write pieces of a file, each at its position."""
+    with pause:
+        for position, piece in pieces:
+            view, at = memoryview(piece), position
+            while view:
+                if not _AT_POSITIONS:
+                    os.lseek(descriptor, at, os.SEEK_SET)
+                done = os.pwrite(descriptor, view, at) if _AT_POSITIONS else os.write(descriptor, view)
+                view, at = view[done:], at + done
+
+
+_BUFFER_BYTES = 1 << 16
+"""Number of bytes of a file that are collected; larger pieces are not copied."""
 
 _KEPT_BYTES = 4 << 20
-"""Largest number of changed bytes held in memory: many at once hold up the kernel's copy seldom."""
+"""The same of bytes written over the kernel's copy, which each write holds up; and how many wait for other threads."""
 
 
 @dataclass(slots=True, eq=False, repr=False)
 class Original:
-    """Bytes of the input file that the output repeats, except for changed spans, which alone are in memory.
+    """Bytes of the input file that the output repeats, except for spans that may change, which alone are in memory.
 
     path, descriptor, state : the input file, open, and its state when it was read
     position, crc : of the first of these bytes in the file, and the CRC-32 of all
-    changed : begin and end of each changed span, relative to `position`
+    spans : begin and end of each span, relative to `position`
+    spans_crc : CRC-32 of the spans as they were, see `crc_of_spans`
     """
 
     path: Path
@@ -310,25 +306,30 @@ class Original:
     state: list[int]
     position: int
     crc: int
-    changed: list[tuple[int, int]]
+    spans: list[tuple[int, int]]
+    spans_crc: int
 
     def crc_with(self, piece: memoryview) -> int:
-        """Return the CRC-32 of the bytes with the changed spans of a piece: a CRC is affine in the bytes."""
-        crc, last = 0, 0
-        for begin, end in self.changed:
-            before = os.pread(self.descriptor, end - begin, self.position + begin)
-            crc = combined(crc, crc32(before) ^ crc32(piece[begin:end]), end - last)
-            last = end
-        return self.crc ^ combined(crc, 0, len(piece) - last)
+        """Return the CRC-32 of the bytes with the spans of a piece: a CRC is affine in the bytes."""
+        return self.crc ^ self.spans_crc ^ crc_of_spans(piece, self.spans)
 
     def with_rest(self, piece: memoryview) -> memoryview:
-        """Return a piece with the bytes between its changed spans, which are read again."""
+        """Return a piece with the bytes between its spans, which are read again."""
         whole = memoryview(bytearray(len(piece)))
         if os.preadv(self.descriptor, [whole], self.position) < len(piece) or crc32(whole) != self.crc:
             raise BagError(f"{self.path}: {_CHANGED}")
-        for begin, end in self.changed:
+        for begin, end in self.spans:
             whole[begin:end] = piece[begin:end]
         return whole
+
+
+def crc_of_spans(piece: memoryview, spans: list[tuple[int, int]]) -> int:
+    """Return the CRC-32 of spans, which differs from that of other bytes in them as that of the whole piece would."""
+    crc = last = 0
+    for begin, end in spans:
+        crc = combined(crc, crc32(piece[begin:end]), end - last)
+        last = end
+    return combined(crc, 0, len(piece) - last)
 
 
 class Output:
@@ -338,6 +339,7 @@ class Output:
     overwrite : whether it may replace a file
     position : bytes written so far
     summing : whether the CRC is computed
+    writes : how bytes are written to a file: with threads, what is passed to `write` must not change before `settle`
     crc : CRC-32 of the bytes since the last call of `restart_crc`
     """
 
@@ -351,6 +353,9 @@ class Output:
         self._path = path
         self._partial: Path | None = None
         self._stream = stream
+        self._kept: list[tuple[int, bytearray | memoryview]] = []  # pieces not yet written, and where they belong
+        self._kept_bytes = 0
+        self.writes = OrderedResults(None)
         self._copy: FileCopy | None = None
         self._over: FileCopy | None = None  # the same, as long as bytes are written over it
 
@@ -369,7 +374,7 @@ class Output:
         try:
             sweep(self._path.parent, self._path.name)
             # Not tempfile: its files are readable by their owner only, and keep that when renamed.
-            self._stream = self._partial.open("xb", buffering=_BUFFER_BYTES)
+            self._stream = self._partial.open("xb", buffering=0)
         except OSError as error:
             raise BagError(f"{self.name}: cannot be written: {error.strerror}") from error
 
@@ -392,7 +397,7 @@ class Output:
             self._put(memoryview(piece))
 
     def write_summed(self, piece: bytes | memoryview, crc: int, original: Original | None = None) -> None:
-        """Write bytes whose CRC-32 is known; if they are copied from an original, write only the changed spans."""
+        """Write bytes whose CRC-32 is known; if they are copied from an original, write only its spans."""
         if self.summing:
             self.crc = combined(self.crc, crc, len(piece))
         self._put(memoryview(piece), original)
@@ -404,20 +409,53 @@ class Output:
         try:
             over = self._over if original is None else self._copied(original, stream)
             if over is not None and over.reaches(self.position + len(view)):
-                for begin, end in [(0, len(view))] if original is None else original.changed:
-                    over.write(self.position + begin, view[begin:end])
+                for begin, end in [(0, len(view))] if original is None else original.spans:
+                    self._keep(self.position + begin, view[begin:end])
                 self.position += len(view)
                 return
-            self._leave_copy()
+            if self._over is not None:  # from now on all bytes are written
+                self._flush()
+                self._over = None
             view = view if original is None else original.with_rest(view)
-            # Up to the next border of a piece: what the buffer hands on are then whole pages. An unbuffered stdout may
-            # take a part only.
-            while view:
-                done = stream.write(view[: _PIECE_BYTES - self.position % _PIECE_BYTES])
+            if self._partial is not None:
+                self._keep(self.position, view)
+                self.position += len(view)
+                return
+            while view:  # an unbuffered stdout may take a part only
+                done = stream.write(view)
                 self.position += done
                 view = view[done:]
         except BagError:
             raise
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def _keep(self, position: int, view: memoryview) -> None:
+        """Write bytes to a file, now or later."""
+        begin, last = self._kept[-1] if self._kept else (0, view)
+        if len(view) > _BUFFER_BYTES:
+            self._kept.append((position, view))
+        elif isinstance(last, bytearray) and begin + len(last) == position:
+            last.extend(view)
+        else:
+            self._kept.append((position, bytearray(view)))
+        self._kept_bytes += len(view)
+        if self._kept_bytes > (_BUFFER_BYTES if self._over is None else _KEPT_BYTES):
+            self._flush()
+
+    def _flush(self) -> None:
+        """Write what was kept, or have a thread do it."""
+        if self._kept and self._stream is not None:
+            pause = nullcontext() if self._over is None else self._over.paused
+            write = partial(_write_at, self._stream.fileno(), self._kept, pause)
+            size, self._kept, self._kept_bytes = self._kept_bytes, [], 0
+            self.writes.put(write, lambda _: None, size)
+
+    def settle(self) -> None:
+        """Wait until all bytes passed to `write` are written."""
+        try:
+            self._flush()
+            self.writes.finish()
         except OSError as error:
             raise self._failed(error) from error
 
@@ -428,29 +466,17 @@ class Output:
                 self._copy.stop()
             return None
         if self._copy is None:
-            stream.flush()
+            self._flush()
             with suppress(OSError):  # the input was moved or replaced; the reader's open file is still valid
                 self._copy = self._over = FileCopy(original.path, stream.fileno(), self.position, original.state)
         return self._over
 
-    def _leave_copy(self) -> None:
-        """End writing over the copy: all later writes go through the stream."""
-        if self._over is not None and self._stream is not None:
-            self._over.flush()
-            self._over = None
-            self._stream.seek(self.position)
-
     def rewrite(self, position: int, data: bytes) -> None:
-        """Overwrite bytes of a file, then seek to its end."""
-        if self._stream is None or self._partial is None:
+        """Overwrite bytes of a file."""
+        if self._partial is None:
             raise BagError(f"{self.name}: cannot seek; write this format to a file")
-        try:
-            self._leave_copy()
-            self._stream.seek(position)
-            self._stream.write(data)
-            self._stream.seek(0, os.SEEK_END)
-        except OSError as error:
-            raise self._failed(error) from error
+        self.settle()
+        self._kept.append((position, bytearray(data)))
 
     def commit(self) -> None:
         """Close the file and rename it to its final name."""
@@ -459,9 +485,10 @@ class Output:
         try:
             if self._copy is not None:
                 self._copy.stop()
-                self._leave_copy()
+                self.settle()
                 self._copy.require_unchanged()
                 self._stream.truncate(self.position)
+            self.settle()
             self._stream.flush()
             if self._partial is not None and self._path is not None:
                 self._stream.close()
@@ -475,12 +502,12 @@ class Output:
 
     def discard(self) -> None:
         """Remove the temporary file, also where an interrupt came before it was known to be open."""
+        self.writes.drop()
         if self._copy is not None:
             self._copy.close()
             self._copy = None
         if self._path is None:
             return
-        # Buffered bytes that a full disk rejects are discarded with the file.
         with suppress(OSError):
             if self._stream is not None:
                 self._stream.close()
@@ -494,10 +521,20 @@ class Output:
 
 
 class OutputContext:
-    """Base class of writers of one output, which appears when the context ends without an error, else nothing does."""
+    """Base class of writers of one output, which appears when the context ends without an error, else nothing does.
 
-    def __init__(self, output: Output) -> None:
+    workers : threads for compression and writing; what is written must then not change before `settle`
+    """
+
+    def __init__(self, output: Output, workers: Workers | None = None) -> None:
         self._output = output
+        self._results = OrderedResults(workers)
+        output.writes = OrderedResults(workers if _AT_POSITIONS else None, _KEPT_BYTES)
+
+    def settle(self) -> None:
+        """Wait until all blocks passed to `write` are written and may change."""
+        self._results.finish()
+        self._output.settle()
 
     @property
     def crc(self) -> int | None:

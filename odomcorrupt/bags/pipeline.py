@@ -70,9 +70,11 @@ class OrderedResults:
     """Calls in worker threads, whose results are processed in order by the submitting thread.
 
     workers : thread pool; None: the submitting thread makes the calls
+    most : largest number of bytes that wait; by default `WAITING_BYTES`
     """
 
-    def __init__(self, workers: Workers | None) -> None:
+    def __init__(self, workers: Workers | None, most: int | None = None) -> None:
+        self._most = WAITING_BYTES if most is None else most
         self._workers = workers if workers is not None and workers.threads > 1 else None
         self._waiting: deque[tuple[Future[Any] | None, Callable[[], None], int]] = deque()
         self._bytes = 0
@@ -102,10 +104,17 @@ class OrderedResults:
         while self._waiting:
             self._take()
 
+    def drop(self) -> None:
+        """Wait for the calls that have begun, and forget all."""
+        for future, *_ in self._waiting:
+            if future is not None and not future.cancel():
+                future.exception()
+        self._waiting.clear()
+
     def _add(self, future: Future[Any] | None, act: Callable[[], None], size: int) -> None:
         self._waiting.append((future, act, size))
         self._bytes += size
-        while self._waiting and (self._bytes > WAITING_BYTES or (first := self._waiting[0][0]) is None or first.done()):
+        while self._waiting and (self._bytes > self._most or (first := self._waiting[0][0]) is None or first.done()):
             self._take()
 
     def _take(self) -> None:

@@ -14,7 +14,7 @@ from odomcorrupt.bags.block import TABLE, Block, without
 from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.chunk import Chunk
 from odomcorrupt.bags.messages import READABLE, undecodable
-from odomcorrupt.bags.output import Original, state_of
+from odomcorrupt.bags.output import Original, crc_of_spans, state_of
 from odomcorrupt.bags.source import BufferPool, Source, extended, lies_behind
 from odomcorrupt.errors import BagError
 
@@ -155,17 +155,6 @@ class RecordReader(ABC):
                 )
             )
 
-    def originals(self, block: Block) -> list[Original]:
-        """Return the input bytes of each chunk of a block, with their changes; empty if the block has all its bytes."""
-        if not block.sparse:
-            return []
-        assert block.changed is not None and not block.added  # noqa: S101, PT018 - so are those read for what changes
-        is_changed = np.zeros(len(block.table), dtype=bool)  # np.unique would import numpy.ma
-        is_changed[block.changed] = True
-        spans = _spans(block.table[is_changed], block.ends or (block.data.size,))
-        source = (self.paths[0], self._source.descriptor, self._state)
-        return [Original(*source, *place, changed) for place, changed in zip(block.sparse, spans, strict=True)]
-
     def _pass(self, source: Source) -> Iterator[Block]:
         """Yield the blocks of a source, and register channels on the way."""
         run: list[Chunk] = []  # whose messages are found at once
@@ -222,13 +211,14 @@ class RecordReader(ABC):
         if 2 * rows["length"].sum() > block.data.size:
             return block
         data = self._sparse_pool.place(block.data.size)
-        to, source = data.data, block.data.data
         sparse, start = [], 0
         ends = block.ends or (block.data.size,)
         for (place, crc), end, spans in zip(places, ends, _spans(rows, ends), strict=True):
+            to, source = data.data[start:end], block.data.data[start:end]
             for begin, stop in spans:
-                to[start + begin : start + stop] = source[start + begin : start + stop]
-            sparse.append((place, crc or crc32(source[start:end])))
+                to[begin:stop] = source[begin:stop]
+            known = place, crc or crc32(source), spans, crc_of_spans(source, spans)
+            sparse.append(Original(self.paths[0], self._source.descriptor, self._state, *known))
             start = end
         return replace(block, data=data, sparse=tuple(sparse))
 

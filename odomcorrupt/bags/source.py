@@ -8,6 +8,7 @@ import re
 import weakref
 from contextlib import ExitStack, contextmanager
 from functools import cached_property
+from io import BufferedReader
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, Self
 
@@ -148,22 +149,19 @@ class BufferPool:
         if size > ARENA_BYTES and not self._sparse:
             return np.empty(size, dtype=np.uint8)
         if size > self._buffer.size - self._used:
-            self._take_buffer()
+            self._buffer, self._used = np.empty(0, dtype=np.uint8), 0
+            if self._sparse:
+                pages = mmap.mmap(-1, 16 * ARENA_BYTES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+                pages.madvise(mmap.MADV_NOHUGEPAGE)
+                self._buffer = np.frombuffer(pages, dtype=np.uint8)
+            else:
+                # not zeroed: a short bag never touches most of it
+                memory = self._free.pop() if self._free else np.empty(ARENA_BYTES, dtype=np.uint8)
+                self._buffer = np.frombuffer(memory.data, dtype=np.uint8)
+                # All buffers are views of this array: without the last of them, the memory is free.
+                weakref.finalize(self._buffer, self._free.append, memory).atexit = False
         self._used += size
         return self._buffer[self._used - size : self._used]
-
-    def _take_buffer(self) -> None:
-        self._buffer, self._used = np.empty(0, dtype=np.uint8), 0
-        if self._sparse:
-            pages = mmap.mmap(-1, 16 * ARENA_BYTES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-            pages.madvise(mmap.MADV_NOHUGEPAGE)
-            self._buffer = np.frombuffer(pages, dtype=np.uint8)
-            return
-        # not zeroed: a short bag never touches most of it
-        memory = self._free.pop() if self._free else np.empty(ARENA_BYTES, dtype=np.uint8)
-        self._buffer = np.frombuffer(memory.data, dtype=np.uint8)
-        # All buffers are views of this array: without the last of them, the memory is free.
-        weakref.finalize(self._buffer, self._free.append, memory).atexit = False
 
 
 def lies_behind(data: NDArray[np.uint8], before: NDArray[np.uint8]) -> bool:
@@ -322,6 +320,10 @@ class Source:
         except OSError as error:
             raise BagError(f"{self.name}: cannot be read: {error.strerror}") from error
         return self._ahead[:size]
+
+    def ahead(self) -> bytes:
+        """Return the next bytes without consuming them, as far as they are in memory; none at the end."""
+        return self._ahead or (self._stream.peek() if isinstance(self._stream, BufferedReader) else b"")
 
     def seek(self, position: int) -> None:
         """Seek to a byte of a file."""

@@ -455,9 +455,6 @@ class Transform:
 
     def _patch(self, held: _Held) -> Block:
         targets = self._targets(held)
-        # all rows of the patched topics, although a patch may leave some of their bytes unchanged
-        own = np.concatenate([np.empty(0, dtype=np.int64), *(target.layout.rows for target in targets)])
-        held.block.changed = own if held.block.changed is None else np.union1d(held.block.changed, own)
         if self._first_ns is None:
             targets = []
         driving = [target for target in targets if self.odometry.is_odometry(target.channel)]

@@ -26,8 +26,12 @@ from odomcorrupt.model.noise_laws import Coefficients
 MODEL = MotionModel(Noise("diffusion", Coefficients(0.05, 0.02, 0.05, 0.01)))
 
 
-def corrupt(source, target, threads=2, *, recover=False, **options):
-    container = Container(threads=threads, recover=recover, overwrite=True)
+def full(*_words):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def corrupt(source, target, threads=2, *, recover=False, compression=None, **options):
+    container = Container(threads=threads, recover=recover, compression=compression, overwrite=True)
     corrupt_bag(source, target, MODEL, seed=7, run=0, options=Options(**options), container=container)
     return target.read_bytes()
 
@@ -119,13 +123,28 @@ def test_messages_that_are_added_move_the_rest(bag, options, tmp_path):
 def test_a_copy_that_fails_is_made_by_writing(bag, good, tmp_path, monkeypatch):
     one, call, calls = corrupt(bag, tmp_path / f"one{bag.suffix}", 1), os.copy_file_range, count()
 
-    def full(source, target, size, *places):
-        if next(calls) >= good:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        return call(source, target, min(size, 1 << 20), *places)
+    def some(source, target, size, *places):
+        return (full if next(calls) >= good else call)(source, target, min(size, 1 << 20), *places)
 
-    monkeypatch.setattr("os.copy_file_range", full)
+    monkeypatch.setattr("os.copy_file_range", some)
     assert corrupt(bag, tmp_path / f"two{bag.suffix}") == one
+
+
+@pytest.mark.parametrize("compression", [None, "lz4"])
+@pytest.mark.parametrize("good", [0, 3])
+def test_a_disk_that_is_full_leaves_nothing(bag, compression, good, tmp_path, monkeypatch):
+    call, calls = os.pwrite, count()
+    monkeypatch.setattr("os.pwrite", lambda *words: full() if next(calls) >= good else call(*words))
+    monkeypatch.setattr("odomcorrupt.bags.output._KEPT_BYTES", 0)
+    with pytest.raises(BagError, match="cannot be written: No space left on device"):
+        corrupt(bag, tmp_path / f"out{bag.suffix}", compression=compression)
+    assert [*tmp_path.iterdir(), *threading.enumerate()[1:]] == []
+
+
+def test_writes_of_a_part_are_continued(bag, tmp_path, monkeypatch):
+    one, call = corrupt(bag, tmp_path / f"one{bag.suffix}", 1, compression="lz4"), os.pwrite
+    monkeypatch.setattr("os.pwrite", lambda file, view, at: call(file, view[: len(view) // 2 + 1], at))
+    assert corrupt(bag, tmp_path / f"two{bag.suffix}", compression="lz4") == one
 
 
 def test_an_input_that_changes_under_the_copy_leaves_nothing(bag, tmp_path, monkeypatch):
@@ -193,9 +212,6 @@ def test_the_thread_changes_no_byte(source, held, options, slow, tmp_path, monke
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("source", [OFFICE, OFFICE_DB], ids=["directory", "file"])
 def test_a_copy_of_a_database_that_fails_is_a_line(source, threads, tmp_path, monkeypatch):
-    def full(*_words):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
     monkeypatch.setattr("os.copy_file_range", full)
     monkeypatch.setattr(shutil, "copyfile", full)
     with pytest.raises(BagError, match="cannot be written: No space left on device"):

@@ -37,21 +37,15 @@ def test_content_tells_the_format_not_the_name(source, kind, tmp_path):
 
 @pytest.mark.parametrize(
     ("content", "words"),
-    [
-        (b"", "is empty"),
-        (b"#ROSBAG V1.2\n", "version 1; `rosbag migrate`"),
-        (gzip.compress(b"a bag", mtime=0), "is a gzip-compressed file; decompress it first .`gunzip`"),
-        (bz2.compress(b"a bag"), "`bunzip2`"),
-        (lzma.compress(b"a bag"), "`unxz`"),
-        (lz4.frame.compress(b"a bag"), "`lz4 -d`"),
-        (b"PK\3\4 and so on", "zip archive"),
-        (b"#EXTM3U", "not an MCAP, a ROS 1 bag or a ROS 2 bag"),
-        (b"version https://git-lfs.github.com/spec/v1\noid sha256:0", "`git lfs pull`"),
-        (b"\n\n <!DOCTYPE html>\n<html>", "HTML page"),
-        (b"rosbag2_bagfile_information:\n  version: 5", "name its directory"),
-        (bytes(4096), "never written"),
-    ],
-)
+    [(b"", "is empty"), (b"#ROSBAG V1.2\n", "version 1; `rosbag migrate`"),
+    (gzip.compress(b"a bag", mtime=0), "is a gzip-compressed file; decompress it first .`gunzip`"),
+    (bz2.compress(b"a bag"), "`bunzip2`"), (lzma.compress(b"a bag"), "`unxz`"),
+    (lz4.frame.compress(b"a bag"), "`lz4 -d`"), (b"PK\3\4 and so on", "zip archive"),
+    (b"#EXTM3U", "not an MCAP, a ROS 1 bag or a ROS 2 bag"), (bytes(4096), "never written"),
+    (b"version https://git-lfs.github.com/spec/v1\noid sha256:0", "`git lfs pull`"),
+    (b"\n\n <!DOCTYPE html>\n<html>", "HTML page"),
+    (b"rosbag2_bagfile_information:\n  version: 5", "name its directory")],
+)  # fmt: skip
 def test_what_is_no_bag_is_refused_with_what_was_found(content, words, tmp_path):
     (tmp_path / "in").write_bytes(content)
     with pytest.raises(BagError, match=words):

@@ -36,15 +36,11 @@ S = np.sqrt(0.5)
 STORAGES = ("ros1", "mcap", "sqlite3", "mcap zstd", "mcap big-endian")
 LAYOUTS = ("root", "namespace", "two robots", "prefixes")
 ATTITUDES = {
-    "level": (0.0, 0.0, 0.0, 1.0),
-    "ramp": (0.0, np.sin(np.pi / 18), 0.0, np.cos(np.pi / 18)),
-    "on its side": (S, 0.0, 0.0, S),
-    "upside down": (1.0, 0.0, 0.0, 0.0),
-    "optical": (-0.5, 0.5, -0.5, 0.5),
-    "nose down": (0.0, S, 0.0, S),
-    "nose up": (0.0, -S, 0.0, S),
+    "level": (0.0, 0.0, 0.0, 1.0), "ramp": (0.0, np.sin(np.pi / 18), 0.0, np.cos(np.pi / 18)),
+    "on its side": (S, 0.0, 0.0, S), "upside down": (1.0, 0.0, 0.0, 0.0), "optical": (-0.5, 0.5, -0.5, 0.5),
+    "nose down": (0.0, S, 0.0, S), "nose up": (0.0, -S, 0.0, S),
     "leaning": (0.02, -0.013, 0.0, np.sqrt(1.0 - 0.02**2 - 0.013**2)),
-}
+}  # fmt: skip
 REPEATS = ("none", "same stamp", "0.1 ms later", "held", "ten per stamp", "10 ms stamps")
 AXES = ("child", "odom")
 SENSORS = ("stay", "consistent")

@@ -114,12 +114,9 @@ def test_topics_of_another_robot_say_nothing_of_this_one():
 
 @pytest.mark.parametrize(
     ("topic", "parent", "child", "contains"),
-    [("/tf", "world", "base_link_gt", True),
-    ("/tf_gt", "a", "b", True),
-    ("/tf", "base_link", "wheel_left_link", True),
-    ("/tf", "map", "odom", False),
-    ("/tf", "base_link", "laser", False),
-    ("/tf_static", "base_link", "wheel_mount", False),
+    [("/tf", "world", "base_link_gt", True), ("/tf_gt", "a", "b", True),
+    ("/tf", "base_link", "wheel_left_link", True), ("/tf", "map", "odom", False),
+    ("/tf", "base_link", "laser", False), ("/tf_static", "base_link", "wheel_mount", False),
     ("/tf", "world", "map", False)],
 )  # fmt: skip
 def test_edges_of_a_truth_and_of_wheels_are_known(topic, parent, child, contains):

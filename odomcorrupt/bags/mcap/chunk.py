@@ -254,7 +254,7 @@ CODECS = ("none", "lz4", "zstd")
 """Compressions of chunks, by the names users know: the file calls none an empty string."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class McapFraming(Framing):
     """Framing of a block in its file.
 
@@ -279,8 +279,8 @@ def read_chunk_head(source: Source, length: int, what: str) -> ChunkHead:
     size, crc, name_length = struct.unpack("<16xQII", source.read(32, what))
     if 40 + name_length > length:
         raise BagError(f"{named}: its compression's name of {name_length} bytes reaches beyond it; damaged bag")
-    name = source.read(name_length, what).decode(errors="replace")
-    (packed,) = struct.unpack("<Q", source.read(8, what))
+    *text, packed = struct.unpack(f"<{name_length}sQ", source.read(name_length + 8, what))
+    name = text[0].decode(errors="replace")
     behind = length - 40 - name_length - packed
     if behind < 0:
         raise BagError(f"{named}: {packed} bytes of records in a record of {length} do not fit; damaged bag")

@@ -378,6 +378,7 @@ _NAMES_BYTES = 1 << 16
 """How much of an attachment is looked at."""
 _LOOSE = (Op.MESSAGE, Op.SCHEMA, Op.CHANNEL)
 _ENDS = (Op.DATA_END, Op.FOOTER)
+_MESSAGE_INDEX = bytes([Op.MESSAGE_INDEX])
 _DATA = (Op.CHUNK, Op.MESSAGE, Op.MESSAGE_INDEX, Op.ATTACHMENT, Op.METADATA)
 """Records that have no place behind the end of the data section."""
 
@@ -480,6 +481,8 @@ class McapReader(RecordReader):
                     if pending:
                         yield pending
                     pending = part
+                if opcode == Op.CHUNK and not self._recover and isinstance(pending, Chunk):
+                    _add_indexes(pending, source)
             except BagError as error:
                 self._lose(error)
                 if not (
@@ -633,6 +636,19 @@ class McapReader(RecordReader):
         if opcode != Op.HEADER:
             raise BagError(f"{self.name}: its first record is {opcode:#04x}, not a header; the bag is damaged")
         return source.read(length, "header")
+
+
+def _add_indexes(chunk: Chunk, source: Source) -> None:
+    """Read the message indexes behind a chunk, as far as they are in memory: faster than one by one."""
+    ahead, at = source.ahead(), 0
+    while ahead[at : at + 1] == _MESSAGE_INDEX:
+        content = at + RECORD_HEADER_BYTES
+        after = content + int.from_bytes(ahead[at + 1 : content], "little")
+        if after > len(ahead):
+            break
+        chunk.indexes.append((0, ahead[content:after]))
+        at = after
+    source.read(at, "message indexes")
 
 
 def _continues(pending: Chunk | Block, opcode: int) -> bool:

@@ -36,7 +36,6 @@ from odomcorrupt.bags.mcap.chunk import (
 )
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.output import OutputContext
-from odomcorrupt.bags.pipeline import OrderedResults
 from odomcorrupt.bags.source import MCAP as MAGIC
 from odomcorrupt.errors import BagError
 
@@ -378,18 +377,10 @@ class McapWriter(OutputContext):
     """
 
     def __init__(
-        self,
-        output: Output,
-        reader: BagReader,
-        codec: str | None = None,
-        level: int | None = None,
-        *,
-        workers: Workers | None = None,
-        native: bool = True,
-        whole: bool = True,
-    ) -> None:
-        super().__init__(output)
-        self._results = OrderedResults(workers)
+        self, output: Output, reader: BagReader, codec: str | None = None, level: int | None = None, *,
+        workers: Workers | None = None, native: bool = True, whole: bool = True,
+    ) -> None:  # fmt: skip
+        super().__init__(output, workers)
         self._reader = reader
         self._channels = ChannelTable(reader, native=native)
         self.keeps_rest = isinstance(reader, McapReader) and reader.sparse
@@ -438,11 +429,7 @@ class McapWriter(OutputContext):
             self._results.put_behind(partial(self._output.write, framed.data.data), framed.data.size)
         else:
             codec = self._codec or (framing.codec if framing.codec in CODECS else "zstd")
-            self._write_chunks(framed, codec, self._reader.originals(block) if self.keeps_rest else [])  # type: ignore[attr-defined]
-
-    def settle(self) -> None:
-        """Wait until all blocks passed to `write` are written and may change."""
-        self._results.finish()
+            self._write_chunks(framed, codec, block.sparse)
 
     def _own(self, block: Block) -> Framed:
         """Return a block's own messages as records, unchanged if they come from an MCAP with the same ids."""

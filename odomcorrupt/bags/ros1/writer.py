@@ -15,7 +15,6 @@ from odomcorrupt.bags.codecs import compress_for_ros1
 from odomcorrupt.bags.definition import OutputChannels, md5sum_of, retyped
 from odomcorrupt.bags.messages import SECOND_NS
 from odomcorrupt.bags.output import OutputContext
-from odomcorrupt.bags.pipeline import OrderedResults
 from odomcorrupt.bags.ros1.chunk import CODECS, INDEX_ENTRY, Connection, Op, Ros1Framing, pack_fields, pack_record
 from odomcorrupt.bags.ros1.reader import Ros1Reader
 from odomcorrupt.bags.source import ROS1 as MAGIC
@@ -196,15 +195,10 @@ class Ros1Writer(OutputContext):
     """
 
     def __init__(
-        self,
-        output: Output,
-        reader: BagReader,
-        codec: str | None = None,
-        level: int | None = None,
+        self, output: Output, reader: BagReader, codec: str | None = None, level: int | None = None,
         workers: Workers | None = None,
-    ) -> None:
-        super().__init__(output)
-        self._results = OrderedResults(workers)
+    ) -> None:  # fmt: skip
+        super().__init__(output, workers)
         output.summing = False  # a ROS 1 bag has no checksum of its own
         self._codec = codec
         self._level = level
@@ -236,14 +230,9 @@ class Ros1Writer(OutputContext):
         if added.data.size:
             framed = framed.followed_by(added)
         codec = self._codec or (block.raw.codec if block.raw.codec in CODECS else "lz4")
-        originals = self._reader.originals(block) if self.keeps_rest else []  # type: ignore[attr-defined]
         if framed.data.size:
-            for chunk, original in zip_longest(framed.chunks(), originals):
+            for chunk, original in zip_longest(framed.chunks(), block.sparse):
                 self._write_chunk(chunk, codec, original)
-
-    def settle(self) -> None:
-        """Wait until all blocks passed to `write` are written and may change."""
-        self._results.finish()
 
     def _frame(self, messages: list[Message]) -> Framed:
         return frame(self._connections.take_records(one.channel for one in messages), messages)
@@ -271,45 +260,31 @@ class Ros1Writer(OutputContext):
         )
 
     def _write_packed(
-        self,
-        framed: Framed,
-        codec: str,
-        found: list[tuple[int, int, bytes]],
-        original: Original | None,
+        self, framed: Framed, codec: str, found: list[tuple[int, int, bytes]], original: Original | None,
         packed: bytes | memoryview,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Write a compressed chunk and its indexes."""
         position = self._output.position
-        header = pack_fields(
-            {"compression": codec.encode(), "op": bytes([Op.CHUNK]), "size": struct.pack("<I", framed.data.size)}
-        )
+        size = struct.pack("<I", framed.data.size)
+        header = pack_fields({"compression": codec.encode(), "op": bytes([Op.CHUNK]), "size": size})
         self._output.write(struct.pack("<I", len(header)) + header + struct.pack("<I", len(packed)))
         self._output.write_summed(packed, 0, original)
         self._output.write(b"".join(index for _, _, index in found))
         times = framed.table["log_ns"]
-        info = pack_fields(
-            {
-                "chunk_pos": struct.pack("<Q", position),
-                "count": struct.pack("<I", len(found)),
-                "end_time": pack_time(int(times.max(initial=0))),
-                "op": bytes([Op.CHUNK_INFO]),
-                "start_time": pack_time(int(times.min()) if times.size else 0),
-                "ver": struct.pack("<I", 1),
-            }
-        )
+        info = pack_fields({
+            "chunk_pos": struct.pack("<Q", position), "count": struct.pack("<I", len(found)),
+            "end_time": pack_time(int(times.max(initial=0))), "op": bytes([Op.CHUNK_INFO]),
+            "start_time": pack_time(int(times.min()) if times.size else 0), "ver": struct.pack("<I", 1),
+        })  # fmt: skip
         counts = b"".join(struct.pack("<II", connection, count) for connection, count, _ in found)
         self._infos.append(pack_record(info, counts))
 
     def _header(self, index_at: int, connections: int, size: int) -> bytes:
         """Return the bag header's record, padded to a size in bytes."""
-        header = pack_fields(
-            {
-                "chunk_count": struct.pack("<I", len(self._infos)),
-                "conn_count": struct.pack("<I", connections),
-                "index_pos": struct.pack("<Q", index_at),
-                "op": bytes([Op.BAG_HEADER]),
-            }
-        )
+        header = pack_fields({
+            "chunk_count": struct.pack("<I", len(self._infos)), "conn_count": struct.pack("<I", connections),
+            "index_pos": struct.pack("<Q", index_at), "op": bytes([Op.BAG_HEADER]),
+        })  # fmt: skip
         return pack_record(header, b" " * (size - 8 - len(header)))
 
     def _finish(self) -> None:
