@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 MOST_THREADS = 4
 """Largest default number of threads: more help slow codecs only, and each uses memory."""
 
-WAITING_BYTES = 12 << 20
+WAITING_BYTES = 8 << 20
 """Largest number of bytes waiting for compression and writing."""
 
 _WORTH_BYTES = 1 << 20

@@ -80,7 +80,7 @@ _CLOSE_BYTES = 1 << 13
 """Changed messages at most this many bytes apart are written at once, which takes no longer than two writes."""
 
 
-_ENOUGH_MESSAGES = 20_000
+_ENOUGH_MESSAGES = 16_000
 """More at once would save no more time."""
 
 

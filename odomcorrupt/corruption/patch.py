@@ -357,10 +357,10 @@ class Patcher:
 
     def _patch_twist(self, block: Block, target: Target, own: Motions, change: TwistChange) -> None:
         added, yaw = change.added, own.xyt[:, 2]
-        tilted = tilted_rows(own.quat_xyzw)
+        tilted, turn = tilted_rows(own.quat_xyzw), np.zeros((0, 3, 3))
         if len(tilted):
             tilted = tilted[~change.odom_axes[tilted] & np.isfinite(yaw[tilted])]
-        turn = tilts(own.quat_xyzw[tilted], yaw[tilted])
+            turn = tilts(own.quat_xyzw[tilted], yaw[tilted])
         moved = change.known & added.any(axis=1) & finite_rows(added)
         if moved.any():
             twist = own.twist
@@ -374,7 +374,8 @@ class Patcher:
             rows = slice(None) if moved.all() else np.flatnonzero(moved)
             more = np.zeros_like(twist)
             more[:, PLANAR] = added
-            more[tilted] = (_planar_axes(turn) @ added[tilted, :, None])[:, :, 0]
+            if len(tilted):
+                more[tilted] = (_planar_axes(turn) @ added[tilted, :, None])[:, :, 0]
             twist[rows] += more[rows]
             scatter(block, target.layout, target.item, "twist", twist)
         if self._covariance:
