@@ -1,9 +1,9 @@
-"""Worker threads for compression; results are used in order.
+"""Worker threads for compression and for writing to files; results are used in order.
 
-Codecs and checksums release the GIL, so they run in parallel. The output does not depend on the number of threads:
-they only compute results that the main thread uses in its own order. The main thread alone reads and writes, so an
-error or Ctrl-C takes effect at once, and no thread blocks on a pipe. A thread that reads ahead would wait for the GIL
-longer than it saves.
+Codecs, checksums and file calls release the GIL, so they run in parallel. The output does not depend on the number of
+threads: the main thread uses their results in its own order, and says where in a file each piece belongs. It alone
+reads, and writes to pipes, so no thread blocks on one. A thread that reads ahead would wait for the GIL longer than it
+saves.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def default_threads(source: Path | None = None) -> int:
 class Workers:
     """Thread pool; closed by the context manager, which drops calls not yet started.
 
-    threads : number of threads that compress: with one, it is the main thread
+    threads : number of threads that compress and write: with one, it is the main thread
     """
 
     def __init__(self, threads: int) -> None:
