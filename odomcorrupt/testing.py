@@ -31,9 +31,6 @@ if TYPE_CHECKING:
 
 TRACK_M = 0.4
 _BACK_M = 1e-6
-_RESTORED = 0.2
-"""Fraction of an effect's error that may remain after correction."""
-_RUNS = 400
 _SIGMAS = 6.0
 """Largest deviation of a sample moment from its expectation, in standard errors: never exceeded by chance."""
 
@@ -246,7 +243,8 @@ def _check_restored(effect: Effect) -> None:
         return
     clean, odometry, back = _there_and_back(effect)
     before, after = (np.linalg.norm((path - clean)[:, :2], axis=1).max() for path in (odometry, back))
-    _require(after < _RESTORED * before, effect, f"restorable, but of {before:.3g} m remain {after:.3g} m")
+    # fraction of an effect's error that may remain after correction
+    _require(after < 0.2 * before, effect, f"restorable, but of {before:.3g} m remain {after:.3g} m")
 
 
 def _check_moments(effect: Effect) -> None:
@@ -265,7 +263,7 @@ def _check_moments(effect: Effect) -> None:
         raise ContractError(f"effect {effect.name}: draws, but states no moments")
     samples = []
     dt = motion.dt_s[:, None]
-    for run in range(_RUNS):
+    for run in range(400):
         state = effect.start(stream(1, run, effect.name))
         f = effect.twist_error(motion, state).f
         lost = steps - effect.recorded(steps, motion.t_s, TRACK_M, state).steps

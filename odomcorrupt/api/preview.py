@@ -37,9 +37,6 @@ if TYPE_CHECKING:
     from odomcorrupt.inspection.scan import OdometryRecord
     from odomcorrupt.mapping.conditioned import MapCondition
 
-_SAME = 0.03
-"""Deviation of a factor from 1 that the discretisation of a drive explains."""
-
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Info(Result):
@@ -201,7 +198,8 @@ class Preview(Result):
         if per_message(noise):
             return [f"The noise depends on the message rate: at half of it, {grown}"]
         said = "The noise does not depend on the message rate."
-        if max(abs(factor - 1.0) for factor in factors) > _SAME:
+        # deviation of a factor from 1 that the discretisation of a drive explains
+        if max(abs(factor - 1.0) for factor in factors) > 0.03:
             said += f" This recording does: jitter between messages counts as motion; with every second message {grown}"
         return [said]
 

@@ -45,8 +45,6 @@ if TYPE_CHECKING:
 TRIED_BYTES = 32 << 20
 """How much of a bag is tried, decompressed."""
 
-TRIED_RUNS = 4
-
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
@@ -92,7 +90,7 @@ def estimate(job: Job) -> Estimate:
     with tempfile.TemporaryDirectory() as scratch:
         plain = replace(job.batch.container, compression=None, level=None)
         whole = _try(job, 1, Path(scratch) / "full", output="full", container=plain, split=False)
-        chosen = _try(job, TRIED_RUNS, Path(scratch) / "chosen")
+        chosen = _try(job, 4, Path(scratch) / "chosen")
         overlay = _try(job, 1, Path(scratch) / "overlay", output="overlay")
     part = 1.0
     if whole.cut:
@@ -164,13 +162,6 @@ GROUP = 32
 LARGE_BYTES = 2 << 30
 """Of larger bags half as many: what a kill interrupts is made again."""
 
-RESTARTS = 3
-"""Maximum number of restarts of a pool whose worker died."""
-
-
-GRACE_S = 5.0
-"""Time in which a worker whose batch is dead removes its files."""
-
 
 @dataclass(frozen=True, slots=True)
 class Shard:
@@ -239,7 +230,8 @@ def run_local(tasks: Sequence[Task], jobs: int, audience: Audience) -> None:
             audience.done(task, attempt(task, partial(audience.under_way, task) if audience.shown else None))
         return
     left = dict(enumerate(tasks))
-    for _ in range(RESTARTS):
+    # maximum number of restarts of a pool whose worker died
+    for _ in range(3):
         if left:
             _run_in_pool(left, jobs, audience)
     for task in left.values():
@@ -320,7 +312,8 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
-        time.sleep(GRACE_S)
+        # time in which a worker whose batch is dead removes its files
+        time.sleep(5.0)
         os._exit(1)
 
 

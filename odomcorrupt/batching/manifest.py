@@ -39,8 +39,6 @@ MANIFEST = "manifest.jsonl"
 PARTS = ".parts"
 ROBOTS = "robots"
 
-_LARGEST_BYTES = 1 << 30
-"""Largest manifest that is read; one of a million runs is smaller."""
 _PIECE_BYTES = 1 << 18
 _TEXTS = (("input", "path"), ("input", "hash"), ("model", "text"), ("model", "hash"))
 
@@ -116,7 +114,8 @@ def _require(true: bool) -> None:  # noqa: FBT001 - a condition, as of assert
 def _read(path: Path) -> bytes:
     """Return the bytes of a file of a batch; ValueError where it is no regular file, or too large."""
     path.stat()  # raises FileNotFoundError where there is none
-    return read_input(path, _LARGEST_BYTES, "file of a batch", ValueError)
+    # largest manifest that is read; one of a million runs is smaller
+    return read_input(path, 1 << 30, "file of a batch", ValueError)
 
 
 def _parsed(text: bytes) -> Any:

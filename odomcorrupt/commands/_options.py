@@ -180,9 +180,6 @@ class Share(Number):
         return number / 100.0 if text.endswith("%") else number
 
 
-_TURN_RAD = 6.2832
-"""A full turn: a larger heading without a unit is most likely in degrees."""
-
 TRACK = Number("metres between the wheels", 0.0, 10.0, above=True, else_="42.3 cm are 0.423; leave it out if unknown")
 
 
@@ -205,7 +202,8 @@ class _Pose(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
             pose = ()
         if len(pose) != 3 or "deg" in parts[0] + parts[1]:
             self.fail(f"{value!r} is not a pose; write x,y,heading as in 0.2,0.35,10deg{self._else}", param, ctx)
-        if abs(pose[2]) > _TURN_RAD and "deg" not in parts[2]:
+        # a full turn: a larger heading without a unit is most likely in degrees
+        if abs(pose[2]) > 6.2832 and "deg" not in parts[2]:
             self.fail(f"{value!r} has a heading of {pose[2]:g} rad; write {pose[2]:g}deg for degrees", param, ctx)
         return pose
 

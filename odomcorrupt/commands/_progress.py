@@ -20,8 +20,6 @@ FIRST_S = 1.0
 """Time before the first update, seconds; shorter work shows no progress."""
 _READING, _MATCHING = 0.25, 0.5
 """Usual fraction of the work that reading takes, without and with scans to match."""
-_KNOWN = 0.05
-"""Fraction completed before the remaining time is estimated."""
 
 
 def _duration(seconds: float) -> str:
@@ -102,7 +100,8 @@ class Stages(_Line):
     def _note(self, stage: str, share: float, part: float, since_s: float) -> None:
         """Record the completed fraction of the work, and the fraction completed since a time."""
         now_s = time.monotonic()
-        end_s = now_s + (now_s - since_s) * (1.0 - part) / part if part >= _KNOWN else 0.0
+        # fraction completed before the remaining time is estimated
+        end_s = now_s + (now_s - since_s) * (1.0 - part) / part if part >= 0.05 else 0.0
         self._stage, self._share, self._end_s = stage, max(self._share, share), end_s
 
     def _tick(self) -> None:

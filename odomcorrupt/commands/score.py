@@ -19,8 +19,6 @@ from odomcorrupt.result_files import write_text
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_BASELINE_BYTES = 1 << 28
-
 
 @click.command("score", short_help="Score a localisation over the runs of a batch; a gate for CI.")
 @click.argument(
@@ -119,7 +117,7 @@ def command(runs: tuple[Path, ...], *, console: Console, **given: Any) -> int:
 def _baseline(path: Path) -> dict[str, Any]:
     from odomcorrupt.scoring.errors import ScoreError
 
-    text = read_input(path, _BASELINE_BYTES, "result of score", ScoreError)
+    text = read_input(path, 1 << 28, "result of score", ScoreError)
     try:
         table = json.loads(text)
     except (ValueError, RecursionError) as error:

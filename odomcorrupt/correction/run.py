@@ -278,11 +278,6 @@ _WHY_NOT = {
     "quantization": "travel below the encoder's resolution was not reported",
     "heavy_tails": "its random draws were not recorded",
 }
-_NEAR_M = 0.05
-"""Position error that is negligible relative to a patch of the floor, metres: a turn on the other side of an edge made
-a drift of 0.16 m one of 1.7 m."""
-_PLAIN_OFFSET_S = 1e-3
-"""Learned clock offset below which a correction is not suggested, seconds: a millimetre at 1 m/s."""
 _RANDOM = "its random course was not recorded"
 _OF_TRUTH = {"lever_arm": "the truth's tracked point", "mount_yaw": "how the truth is turned"}
 _AT_REST = "is read where the robot stands for 0.6 s or more, interpolated between rests, and held after the last one"
@@ -383,7 +378,8 @@ def _clock_left(corrected: Corrected) -> list[str]:
     offsets = {name: offset_s for name, (offset_s, _) in corrected.model.setup.clocks.items()}
     name = max(offsets, key=lambda one: abs(offsets[one]), default="")
     offset_s = offsets.get(name, 0.0)
-    if abs(offset_s) < _PLAIN_OFFSET_S:
+    # learned clock offset below which a correction is not suggested, seconds: a millimetre at 1 m/s
+    if abs(offset_s) < 1e-3:
         return []
     why = f"time_offset {offset_s * 1e3:.3g} ms of {name} is not corrected: the truth's clock may cause it"
     side = "late" if offset_s > 0.0 else "early"
@@ -412,7 +408,9 @@ def _misplaced(corrected: Corrected) -> list[str]:
     """Return a warning if the position error is too large for effects that depend on the position."""
     names = ", ".join(effect.name for effect in corrected.effects.undone if effect.reads_places)
     off_m = corrected.run.drift.end_expected_m
-    if not names or corrected.model.noise.coefficients.noise_free or not off_m > _NEAR_M:
+    # position error that is negligible relative to a patch of the floor, metres: a turn on the other side of an edge
+    # made a drift of 0.16 m one of 1.7 m
+    if not names or corrected.model.noise.coefficients.noise_free or not off_m > 0.05:
         return []
     where = f"{names}: depends on the position, which by the end is uncertain by {off_m:.3g} m or more (1 sigma)"
     wrong = "it may have been taken out in the wrong place; that error is not in the noise above"

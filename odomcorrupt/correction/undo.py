@@ -32,16 +32,8 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 
-STILL_MPS = 1e-3
-"""Speed below which wheels stand, m/s: less than a tick of usual encoders per message."""
-TURNING_RADPS = 0.05
-"""Yaw rate beyond which a robot without travel turns on the spot; the bias of a MEMS gyro is below 0.02 rad/s."""
 REST_S, SETTLED_S = 0.6, 0.15
 """Shortest rest that is read, and the part at either end that is left out, because the body sways on its wheels."""
-_START_RADPS = 0.05
-"""Standard deviation of the bias before its first reading."""
-_OUTLIER = 5.0
-"""Difference from the neighbouring readings, in standard deviations, beyond which a robot turned slowly instead."""
 
 
 class Readings(NamedTuple):
@@ -69,8 +61,10 @@ def bias_seen_at_rest(effects: Sequence[Effect], motion: Motion, omega: Array) -
 
 def _readings(motion: Motion, omega: Array) -> Readings:
     """Return the mean yaw rate of each rest."""
-    still = np.hypot(motion.v, motion.vy) < STILL_MPS
-    still &= (np.abs(omega) < TURNING_RADPS) & (motion.dt_s > 0.0)
+    # speed below which wheels stand, m/s: less than a tick of usual encoders per message
+    still = np.hypot(motion.v, motion.vy) < 1e-3
+    # yaw rate beyond which a robot without travel turns on the spot; the bias of a MEMS gyro is below 0.02 rad/s
+    still &= (np.abs(omega) < 0.05) & (motion.dt_s > 0.0)
     edges = np.flatnonzero(np.diff(np.concatenate(([False], still, [False])).astype(int)))
     ends_s = np.concatenate(([0.0], np.cumsum(motion.dt_s)))
     found = []
@@ -97,7 +91,8 @@ def _without_turns(walk: GyroBiasWalk, readings: Readings) -> Readings:
     allowed = variance[1:-1] + share**2 * variance[:-2] + (1.0 - share) ** 2 * variance[2:] + bridge
     off = np.concatenate(([0.0], (rate[1:-1] - predicted) ** 2 / np.maximum(allowed, 1e-18), [0.0]))
     most = np.maximum(np.concatenate((off[1:], [0.0])), np.concatenate(([0.0], off[:-1])))
-    kept = (off <= _OUTLIER**2) | (off < most)
+    # difference from the neighbouring readings, in standard deviations, beyond which a robot turned slowly instead
+    kept = (off <= 5.0**2) | (off < most)
     return Readings(rate[kept], variance[kept], t_s[kept])
 
 
@@ -105,7 +100,8 @@ def _smoothed(walk: GyroBiasWalk, readings: Readings) -> Array:
     """Return the expected bias (k,) at each reading, given all of them."""
     keep, kick = walk.kept(np.diff(readings.t_s))
     means, variances, predicted = [], [], []
-    mean, variance = 0.0, _START_RADPS**2
+    # standard deviation of the bias before its first reading
+    mean, variance = 0.0, 0.05**2
     for i, (rate, noise) in enumerate(zip(readings.rate.tolist(), readings.variance.tolist(), strict=True)):
         if i:
             mean, variance = keep[i - 1] * mean, keep[i - 1] ** 2 * variance + kick[i - 1]
@@ -176,8 +172,6 @@ def true_stamps(clocks: Sequence[Effect], stamps_ns: NDArray[np.int64], first_ns
     return stamps_ns + np.rint(shift_s * 1e9).astype(np.int64)
 
 
-PLACE_TOLERANCE = 1e-10
-"""Convergence limit of the positions that effects depend on: largest change per iteration, metres or radians."""
 MAX_ROUNDS = 100
 
 
@@ -241,7 +235,8 @@ def undo_effects(
         added = np.stack((after.ds_m, after.dl_m, turned), axis=1) - before
         error = _error(raw, added, world, measured_xyt)
         found = compose(frame_xyt, (measured_xyt + error)[:-1])
-        if place is None or np.abs(found - place).max(initial=0.0) <= PLACE_TOLERANCE:
+        # convergence limit of the positions that effects depend on: largest change per iteration, metres or radians
+        if place is None or np.abs(found - place).max(initial=0.0) <= 1e-10:
             return Undone(error, Increments.of_rows(raw + added), driven_s, jump)
         place = found
     raise EffectError(
@@ -272,12 +267,8 @@ def _error(raw: Array, added: Array, world: Array, measured_xyt: Array) -> Array
     return np.column_stack((np.concatenate((np.zeros((1, 2)), shift)), heading))
 
 
-_DETECTION_MEDIANS = 10.0
-"""Detection threshold as a multiple of the median sideways step: 6.7 standard deviations of normal ones."""
 _LEAST_M = 2e-5
 """Least detection threshold, m: positions are written in micrometres, and single precision resolves 1e-6 at 10 m."""
-_VISIBLE_RATIO = 5.0
-"""Least ratio of the median detected step to the threshold: of normally distributed steps one in ten is hidden then."""
 
 
 class PoseCorrections(NamedTuple):
@@ -306,10 +297,12 @@ def pose_corrections(t_s: Array, xyt: Array) -> PoseCorrections:
     sideways = np.zeros(len(rows))
     sideways[1:-1] = np.abs(rate[1:-1, 1] - 0.5 * (rate[:-2, 1] + rate[2:, 1])) * dt_s[rows[1:-1]]
     beside = np.maximum(np.append(0.0, sideways[:-1]), np.append(sideways[1:], 0.0))
-    least_m = max(_LEAST_M, _DETECTION_MEDIANS * float(np.median(sideways)))
+    # detection threshold as a multiple of the median sideways step: 6.7 standard deviations of normal ones
+    least_m = max(_LEAST_M, 10.0 * float(np.median(sideways)))
     # a step raises the values of its two neighbours by half of its size
     sudden = (sideways > least_m) & (sideways >= beside)
-    if not sudden.any() or np.median(sideways[sudden]) < _VISIBLE_RATIO * least_m:
+    # least ratio of the median detected step to the threshold: of normally distributed steps one in ten is hidden then
+    if not sudden.any() or np.median(sideways[sudden]) < 5.0 * least_m:
         return PoseCorrections(0, np.zeros_like(xyt))
     middle_s = 0.5 * (t_s[:-1] + t_s[1:])[rows]
     for column in range(3):

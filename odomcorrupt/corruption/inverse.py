@@ -37,13 +37,6 @@ TOLERANCE = 1e-12
 """An increment is solved when it moves by less than this between two rounds, metres or radians."""
 
 MAX_ROUNDS = 200
-_RUNAWAY = 1e6
-"""An increment that changes by more metres than this diverges."""
-_SAME = 1e-6
-"""Two changes that differ by less than this part of them are the same."""
-_JUMP = 0.5
-"""A law that sets in all at once may change less than this part of a motion."""
-NEWTON_ROUNDS = 60
 _NUDGE = 1e-6
 """By how much a speed is changed to see what that does to f, m/s and rad/s."""
 _FARTHEST, _JITTER, _LINEAR = 20.0, 1e-3, 2
@@ -176,7 +169,8 @@ def _iterated(equations: _Equations) -> tuple[Array, list[State], NDArray[np.boo
         # a row that is solved stays as it is, so that its bits do not depend on its neighbours; nor does one that
         # runs away take them along
         before, change = changed, _largest((f_next - now) * live.dt_s)
-        settling = open_[rows] & (change < _RUNAWAY)
+        # an increment that changes by more metres than this diverges
+        settling = open_[rows] & (change < 1e6)
         oldest, earlier, now, changed = earlier, now, np.where(settling[:, None], f_next, now), change
         open_[rows] &= ~(change <= TOLERANCE)
         # a row that ran away, or swings between the same two numbers, has reached what the last round would give
@@ -185,7 +179,8 @@ def _iterated(equations: _Equations) -> tuple[Array, list[State], NDArray[np.boo
         few = 2 * np.count_nonzero(going) < len(rows) if equations.apart else not going.any()
         if few or not left:
             f[rows], was[rows], last[rows] = now, earlier, change
-            swinging[rows] = np.abs(change - before) <= _SAME * change
+            # two changes that differ by less than this part of them are the same
+            swinging[rows] = np.abs(change - before) <= 1e-6 * change
             if not open_.any():
                 return f, states, open_
             if not going.any() or not left:
@@ -196,7 +191,8 @@ def _iterated(equations: _Equations) -> tuple[Array, list[State], NDArray[np.boo
     # a law that sets in at a speed may take the odometry below it, where it is off: no speed is reported for such a
     # true one, and of the two that it swings between the one nearer to the truth stands; what takes all of a motion
     # away in one round and puts it back in the next is no such law
-    swinging &= open_ & (last < _JUMP * np.abs(equations.clean * equations.dt_s).max(axis=1))
+    # a law that sets in all at once may change less than this part of a motion
+    swinging &= open_ & (last < 0.5 * np.abs(equations.clean * equations.dt_s).max(axis=1))
     nearer = swinging & (np.linalg.norm(was, axis=1) < np.linalg.norm(f, axis=1))
     f = np.where(nearer[:, None], was, f)
     open_ &= ~swinging
@@ -214,7 +210,7 @@ def _by_newton(equations: _Equations, f: Array, open_: NDArray[np.bool_]) -> NDA
     unsolved, linear = open_.copy(), np.zeros_like(open_)
     rows = np.flatnonzero(open_)
     f[rows] = 0.0
-    for made in range(NEWTON_ROUNDS):
+    for made in range(60):
         alone = equations.apart
         live, here = (equations.of(rows), f[rows]) if alone else (equations, f)
         own = slice(None) if alone else rows

@@ -39,10 +39,6 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.sensors.consistent import Relations
 
-_LOSS = 0.3
-"""Smallest motion that counts as a restored loss, as a fraction of the pose's: of both wheels, the pose stands; of one,
-it moves as much as is lost."""
-
 
 class TwistChange(NamedTuple):
     """Changes of n twists.
@@ -76,10 +72,6 @@ class Motions(NamedTuple):
     def take(self, rows: slice | NDArray[np.int64]) -> Motions:
         """Return some of them."""
         return Motions._make(column[rows] for column in self)
-
-
-_SLOWER = 0.25
-"""Square of the part of its speed below which a robot has stopped, where its pose stays the same."""
 
 
 class TopicTwist:
@@ -136,7 +128,8 @@ class TopicTwist:
         speed2 = np.square(own.twist[rows]).sum(axis=1)
         # the twist with which the present pose was measured
         first = np.concatenate((self._speed2, speed2[changed]))[np.cumsum(changed)]
-        repeated = ~changed & (speed2 > 0.0) & (speed2 >= _SLOWER * first)
+        # square of the part of its speed below which a robot has stopped, where its pose stays the same
+        repeated = ~changed & (speed2 > 0.0) & (speed2 >= 0.25 * first)
         self._pose, self._speed2 = poses[-1:], first[-1:]
         return slice(None) if fresh.all() and not repeated.any() else rows[~repeated]
 
@@ -189,7 +182,8 @@ class TopicTwist:
         heading_rad : (n, 2) of the clean and of the noisy body
         """
         rate = found.clean
-        moving = found.known & (np.hypot(rate[:, 0], rate[:, 1]) > _MOVING_MPS) & finite_rows(own.twist)
+        # faster than 5 cm/s: axes of slower motion are noise
+        moving = found.known & (np.hypot(rate[:, 0], rate[:, 1]) > 0.05) & finite_rows(own.twist)
         odom = np.stack(rotated(rate[:, 0], rate[:, 1], heading_rad[:, 0]), axis=1)
         # roll and pitch rates, which a planar motion has not, tell the axes of tilted bodies apart
         still = np.zeros((len(rate), 2))
@@ -228,7 +222,6 @@ class TopicTwist:
         return TwistChange(found.known, added, covariance, clean, axes)
 
 
-_MOVING_MPS = 0.05
 _SEEN = np.array([0, 1, 3, 4])
 _FITS, _MISFIT = 0.25, 0.01
 """Parts of sums of squares: below the first one axes fit better than others, above the second those do not fit."""
@@ -369,7 +362,9 @@ class Patcher:
                 size2 = np.sum(added**2, axis=1)
                 # twists that, less the pose's rates, already contain the motion
                 has = np.sum((level[:, PLANAR] - change.clean) * added, axis=1) > 0.5 * size2
-                loss = size2 >= _LOSS**2 * np.sum(change.clean**2, axis=1)
+                # smallest motion that counts as a restored loss, as a fraction of the pose's: of both wheels, the pose
+                # stands; of one, it moves as much as is lost
+                loss = size2 >= 0.3**2 * np.sum(change.clean**2, axis=1)
                 moved &= ~(has & (loss | self._steps))
             rows = slice(None) if moved.all() else np.flatnonzero(moved)
             more = np.zeros_like(twist)

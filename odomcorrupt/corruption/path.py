@@ -105,16 +105,13 @@ def _law_at(noise: Noise, gone_m: Array, gone_rad: Array) -> Variances:
     return noise.law.rule(noise.coefficients, half, np.maximum(gone_m, 0.0), half)
 
 
-_MOST_STEPS = 1e6
-"""Largest number of steps in one block; a kilometre of the shortest ones."""
-
-
 def _ends(step: Step, growth: StepGrowth, gone_m: Array, gone_rad: Array) -> Array:
     """Return the ends of k steps: index of the increment of each, metres and radians since the path's start (k, 3)."""
     found: list[tuple[int, float, float]] = []
     began_m, began_rad = growth.began_m, growth.began_rad
     most = (gone_m[-1] - began_m) / step.distance_m + (gone_rad[-1] - began_rad) / step.angle_rad
-    if most > _MOST_STEPS:
+    # largest number of steps in one block; a kilometre of the shortest ones
+    if most > 1e6:
         raise ModelError(f"step: {step}; a part of the path has {most:.3g} of them; give a longer one")
     while began_m + step.distance_m <= gone_m[-1] or began_rad + step.angle_rad <= gone_rad[-1]:
         far, turned = began_m + step.distance_m, began_rad + step.angle_rad

@@ -26,7 +26,6 @@ _STEEP = float(np.sin(np.deg2rad(85.0)))
 """Sine of a pitch at which the body's x axis points up or down, and small roll decides on the heading."""
 
 
-_FLAT2 = 0.02  # (sine of half the tilt)^2 up to which a rotation is about the x axis alone: a tilt of 16 deg
 _MANY, _EACH = 2048, 8  # poses of a block above which one in eight is examined, to save time
 _SECTORS, _MIN_SECTORS = 24, 8
 """Sectors of roll, and how many of them a robot that rolls must visit, here 120 deg."""
@@ -56,7 +55,8 @@ class ComponentOrder:
             return
         position, (x, y, z, w) = position[good], quat_xyzw[good].T
         with np.errstate(over="ignore", under="ignore"):
-            flat = (y * y + z * z < _FLAT2 * (x * x + w * w)) & (x * x + w * w > 0.0)
+            # (sine of half the tilt)^2 up to which a rotation is about the x axis alone: a tilt of 16 deg
+            flat = (y * y + z * z < 0.02 * (x * x + w * w)) & (x * x + w * w > 0.0)
         self.count += len(flat)
         self.flat += _count(flat)
         roll = np.mod(2.0 * np.arctan2(x[flat], w[flat]), 2.0 * np.pi)
@@ -167,10 +167,6 @@ class TwistTravel:
         )
 
 
-_APART_M = 0.01
-"""Poses of two publishers are this far apart at least: less is the noise of one."""
-
-
 @dataclass(slots=True, eq=False, repr=False)
 class Alternation:
     """Test of a path for alternation between two, as of two publishers of one topic or TF edge.
@@ -193,7 +189,8 @@ class Alternation:
         length = np.hypot(steps[:, 0], steps[:, 1])
         left = np.hypot(*(steps[1:] + steps[:-1]).T)
         least = np.minimum(length[1:], length[:-1])
-        back = (left < least / 2.0) & (least > _APART_M)
+        # poses of two publishers are this far apart at least: less is the noise of one
+        back = (left < least / 2.0) & (least > 0.01)
         new = max(len(self._last) - 1, 0)
         self.way_m += float(length[new:].sum())
         self.returned_m += float(least[back].sum())
@@ -203,7 +200,7 @@ class Alternation:
     @property
     def alternates(self) -> bool:
         """Whether more than half of the path is taken back at once."""
-        return self.returns > _FEW and self.returned_m > self.way_m / 2.0
+        return self.returns > 10 and self.returned_m > self.way_m / 2.0
 
     def sentence(self) -> str:
         """Return what is wrong, without a full stop."""
@@ -212,9 +209,6 @@ class Alternation:
             f"two publishers alternate, {apart:.2g} m apart: the pose goes to and fro {self.returns} times, which no "
             "robot drives"
         )
-
-
-_FEW = 10
 
 
 @dataclass(slots=True, eq=False, repr=False)

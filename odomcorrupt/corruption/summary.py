@@ -29,8 +29,6 @@ SIDEWAYS = 0.1
 STRAIGHT = 0.001
 """One that goes less than this part of its way so is not."""
 
-_LOST_WIDTH = 120
-"""Characters of what is lost that a summary shows."""
 
 MOST_EDGES = 6
 """More need not be named."""
@@ -94,7 +92,8 @@ def lost_lines(outcome: Outcome) -> list[Line]:
         return []
     _, _, first = outcome.losses[0].partition(": ")  # behind the name of the file
     more = f" (and {len(outcome.losses) - 1} more: -v shows all)" if len(outcome.losses) > 1 else ""
-    return [Line("LOST", textwrap.shorten(first, _LOST_WIDTH, placeholder=" ...") + more, "bad", FIRST)]
+    # characters of what is lost that a summary shows
+    return [Line("LOST", textwrap.shorten(first, 120, placeholder=" ...") + more, "bad", FIRST)]
 
 
 def places_lines(model: MotionModel, frame: str = "odom") -> list[Line]:

@@ -24,8 +24,6 @@ MAX_ROUNDS = 2000
 """Large, because if an effect switches on and off for seconds, each round advances only to the next switch."""
 _NUDGE = 0.5
 """Step of the numerical derivative with respect to the acceleration, m/s^2 and rad/s^2."""
-_RUNAWAY = 1e6
-"""Change of an increment, metres, at which the iteration counts as diverged."""
 
 
 def error_of(effect: Effect, motion: Motion) -> Array:
@@ -123,7 +121,8 @@ def _settled(
         largest = np.abs(change * dt).max(initial=0.0)
         if largest <= TOLERANCE:
             return truth
-        if not largest < _RUNAWAY:
+        # change of an increment, metres, at which the iteration counts as diverged
+        if not largest < 1e6:
             break
     names = ", ".join(effect.name for effect in effects)
     raise EffectError(

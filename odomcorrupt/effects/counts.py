@@ -273,14 +273,6 @@ def _mean_around(speed: Array, dt_s: Array) -> Array:
 _ROUNDING = 1e-9
 """Largest increment that counts as zero (rounding), metres or radians."""
 _MOVING_MPS = 0.05
-_ARM_M = 0.2
-"""Assumed distance of the wheels from the middle if the track is unknown, metres: a turn on the spot moves them."""
-_MOST_IN_A_ROW = 3
-_LONGEST_S = 0.25
-"""Longest gap that counts as a loss, seconds; a longer rest may be a real stop."""
-_CAUGHT_UP = 1.35
-_FREQUENT = 0.005
-"""Rate of single losses above which losses of several increments in a row are plausible."""
 _NEIGHBOURS = 2
 """Number of increments on each side whose mean is the expected size of a pair of neighbours."""
 _LEAST_TICKS, LEAST_WHEEL_TICKS = 1.5, 2.5
@@ -291,8 +283,6 @@ _ALIKE = 1e-3
 """Relative difference of increments of equal length: a chord is shorter than its arc by a 24th of the turn squared."""
 _TRACKS_M, _TRACK_RANGE = (0.03, 3.0), (0.7, 1.4)
 """Tracks that a driver may compute the odometry with: of any robot, and as a multiple of a robot's known track."""
-_FEWEST = 5
-"""Fewest lost increments of a wheel that show the track: their ratios of travel to turn are the same."""
 _STEADY = 0.25
 """Largest relative change of the other wheel's speed at such a loss."""
 
@@ -426,7 +416,8 @@ def losses(motion: Motion) -> Losses:
     encoder of coarse ticks reports zeros, but none between increments of two ticks. A late count is not a loss: a
     neighbour catches up, so the two neighbours are longer than the increments around them.
     """
-    arm_m = _ARM_M if motion.track_m is None else motion.track_m / 2.0
+    # assumed distance of the wheels from the middle if the track is unknown, metres: a turn on the spot moves them
+    arm_m = 0.2 if motion.track_m is None else motion.track_m / 2.0
     travel = (np.hypot(motion.v, motion.vy) + arm_m * np.abs(motion.omega)) * motion.dt_s
     moves = (np.abs(motion.v) + np.abs(motion.vy) + np.abs(motion.omega)) * motion.dt_s >= _ROUNDING
     return _losses_of(motion, travel, moves, _LEAST_TICKS)
@@ -471,13 +462,15 @@ def _losses_of(motion: Motion, travel: Array, moves: NDArray[np.bool_], ticks: f
     gap = following - last - 1
     ends_s = np.cumsum(motion.dt_s)
     gap_s = ends_s[following - 1] - ends_s[last]
-    alone = (gap == 1) | ((gap > 1) & (gap <= _MOST_IN_A_ROW) & (gap_s < _LONGEST_S))
+    # longest gap that counts as a loss, seconds; a longer rest may be a real stop
+    alone = (gap == 1) | ((gap > 1) & (gap <= 3) & (gap_s < 0.25))
     zero = alone & plain[:-1] & plain[1:] & (travel[last] * travel[following] > 0.0)
-    caught_up = zero & (way[:-1] + way[1:] > _CAUGHT_UP * 2.0 * _around(way))
+    caught_up = zero & (way[:-1] + way[1:] > 1.35 * 2.0 * _around(way))
     found = zero & ~caught_up
     if caught_up.sum() > found.sum():
         found[:] = False  # the counts of this odometry arrive late: the apparent losses did, too
-    if np.sum(found & (gap == 1)) < _FREQUENT * np.sum(fast):
+    # rate of single losses above which losses of several increments in a row are plausible
+    if np.sum(found & (gap == 1)) < 0.005 * np.sum(fast):
         found &= gap == 1  # if hardly any increment is lost, several zeros in a row are a stop
     for begin, count in zip(last[found], gap[found], strict=True):
         gone[begin + 1 : begin + 1 + count] = True
@@ -514,7 +507,8 @@ def _track_of_losses(motion: Motion, track_m: float | None) -> float | None:
         return None
     alike = np.searchsorted(ratios, ratios * (1.0 + 2.0 * _ALIKE)) - np.arange(len(ratios))
     first = int(np.argmax(alike))
-    return float(np.median(ratios[first : first + alike[first]])) if alike[first] >= _FEWEST else None
+    # fewest lost increments of a wheel that show the track: their ratios of travel to turn are the same
+    return float(np.median(ratios[first : first + alike[first]])) if alike[first] >= 5 else None
 
 
 def _usual_change(going: NDArray[np.int64], way: Array) -> float:

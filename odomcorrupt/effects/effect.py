@@ -52,8 +52,6 @@ Kind = Literal["effect", "setup", "noise", "event"]
 """Kinds of effects. An event happens once, at a time stated in the model; it is applied to bags, but not diagnosed."""
 Layer = Literal["motion", "record", "draws"]
 State = Any
-_AT_BOUND = 1e-6
-"""Distance to a bound, as a fraction of the bound, at which a fitted value counts as on the bound."""
 
 
 class TwistError(NamedTuple):
@@ -375,7 +373,8 @@ def on_bound(effect: Effect) -> tuple[str, float] | None:
     """Return name and value of an amplitude that a fit has moved to its bound; None if there is none."""
     for p in amplitudes(effect):
         value = getattr(effect, p.name)
-        if value != p.identity and any(abs(value - bound) <= _AT_BOUND * abs(bound) for bound in (p.low, p.high)):
+        # distance to a bound, as a fraction of the bound, at which a fitted value counts as on the bound
+        if value != p.identity and any(abs(value - bound) <= 1e-6 * abs(bound) for bound in (p.low, p.high)):
             return p.name, value
     return None
 

@@ -17,10 +17,6 @@ if TYPE_CHECKING:
 
 _SPEEDS = ("v", "vy", "omega")
 _COLUMNS = {"along": [0], "yaw": [2], "all": [0, 1, 2]}
-_UNSEEN_RATE = 10.0
-"""Largest acceleration assumed during the delay at the end of a recording, m/s^2 and rad/s^2."""
-_SMOOTHER = 0.5
-"""Roughness of increments over that of speeds, below which a filter acted on increments."""
 
 
 def lag_remainder(tau_s: float, seconds: float) -> float:
@@ -62,7 +58,8 @@ class ChannelLag(Effect):
     @property
     def lost_m(self) -> float:
         """Bound on the uncorrectable error, m: the last motion is never reported, nor are speeds between stamps."""
-        return _UNSEEN_RATE * self.tau**2 if self.by == "delay" else 0.0
+        # largest acceleration assumed during the delay at the end of a recording, m/s^2 and rad/s^2
+        return 10.0 * self.tau**2 if self.by == "delay" else 0.0
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: for a filter from the accelerations of the reported motion, for a delay to first order."""
@@ -103,7 +100,8 @@ class ChannelLag(Effect):
         shown, dt_s = speed[passes], dt_s[passes]
         even = shown * dt_s / np.median(dt_s)
         rough = [np.abs(np.diff(u, n=2)).sum() for u in (shown, even)]
-        filtered = even if rough[1] < _SMOOTHER * rough[0] else shown
+        # roughness of increments over that of speeds, below which a filter acted on increments
+        filtered = even if rough[1] < 0.5 * rough[0] else shown
         true = speed.copy()
         true[passes] += self.tau * np.diff(filtered, prepend=filtered[0]) / dt_s
         return true

@@ -36,7 +36,6 @@ _STEEP = (0.3, 0.55)
 """Tangents of the largest steering angle that give trial distances between the axles: 17 and 29 degrees."""
 _STEEPER = (0.55, 2.0)
 """The same where the steered wheel is driven, which turns further: 29 and 63 degrees."""
-_TIGHTEST = 0.99
 _LOCK_RAD = 1.4
 """Steering angle beyond which its tangent is no path of a car."""
 E = TypeVar("E", bound=Effect)
@@ -59,7 +58,7 @@ def on_every_axle_distance(effect: E, motions: Sequence[Motion]) -> tuple[E, ...
     """Return the effect for small steering angles, and for each trial distance between the axles."""
     v, omega = (np.abs(np.concatenate([getattr(m, name) for m in motions])) for name in ("v", "omega"))
     turning = v > CREEP_MPS
-    largest = float(np.quantile(omega[turning] / v[turning], _TIGHTEST)) if turning.any() else 0.0
+    largest = float(np.quantile(omega[turning] / v[turning], 0.99)) if turning.any() else 0.0
     if not largest > 0.0:
         return (effect,)
     trials: list[dict[str, Any]] = [{"axles": min(tangent / largest, 20.0)} for tangent in _STEEP]
@@ -131,15 +130,12 @@ SteeringOffset = gain(
 )
 
 
-_SMALL = 1e-6
-
-
 def _turned_more(it: Any, m: Motion) -> tuple[Array | float, Array | float, Array]:
     """Return f of a steering angle delta (1 + e), tan delta = L omega / v; without L delta is small, f = e omega."""
     if it.driven == "front" and it.axles:  # its velocity (v, L omega) is turned by e delta
         delta = np.arctan2(it.axles * m.omega * np.sign(m.v), np.abs(m.v))
         return tuple(turned_front(m.v, m.omega, it.e * delta / it.axles, it.axles).T)
-    tangent = np.maximum(steepness(m.v, m.omega, it.axles), _SMALL)
+    tangent = np.maximum(steepness(m.v, m.omega, it.axles), 1e-6)
     return 0.0, 0.0, it.e * np.arctan(tangent) * (1.0 + tangent**2) / tangent * m.omega
 
 
@@ -168,8 +164,6 @@ SteeringScale = gain(
 _ROLLS_MPS = 0.01 - 1e-9
 """Speed from which a path shows the wheels' angle, m/s; just below a round one, which rounding may reach. Wheels turn
 quickest at the low speeds of starts and reversals, where odometry from a steering angle has the exact ratio."""
-_ONE_WAY = 0.5
-"""Least part of the recent travel that is in one direction where a path rolls; noise of a robot at rest has none."""
 _SHARE_S = 2.0
 """Time over which the share of noise in the changes of the turn rate is averaged."""
 _STEADY, _SMOOTH_S = 0.1, 1.0
@@ -212,7 +206,8 @@ class _Steering(NamedTuple):
     def rolls(self) -> bool:
         """Whether the path shows the curvature: it is neither at rest, with or without noise, nor creeping."""
         way, _, travel, time_s = self.sums
-        return abs(way) >= max(_ROLLS_MPS * time_s, _ONE_WAY * travel)
+        # least part of the recent travel that is in one direction where a path rolls; noise of a robot at rest has none
+        return abs(way) >= max(_ROLLS_MPS * time_s, 0.5 * travel)
 
 
 @dataclass(frozen=True, slots=True)
@@ -317,8 +312,6 @@ _AVERAGED_S = 2.0
 """Time over which the noise of the steering angle is averaged."""
 _RANGE = 4.0
 """Range of a noise over its mean second difference: 8 standard deviations, and the mean is 1.95 of them."""
-_STEERED = 4.0
-"""Second difference over the mean beyond which it is no noise: steering begins or ends, or play is crossed."""
 
 
 class _Linkage(NamedTuple):
@@ -439,7 +432,8 @@ class SteeringPlay(Effect):
 
 def _averaged(noise: float, rough: float, least: float, gain: float) -> float:
     """Return the mean noise after a second difference, without those of steering; `least` ones always count."""
-    return noise + gain * (min(rough, max(_STEERED * noise, least)) - noise)
+    # second difference over the mean beyond which it is no noise: steering begins or ends, or play is crossed
+    return noise + gain * (min(rough, max(4.0 * noise, least)) - noise)
 
 
 def _linkage(place: float, side: float, half: float, unseen: float) -> float:

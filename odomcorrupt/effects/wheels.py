@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-_STILL_MPS = 1e-6
 TRACKS_M = (0.12, 0.22, 0.4, 0.7, 1.2)
 """Trial tracks of an effect of single wheels, metres, if the robot's track is unknown."""
 E = TypeVar("E", bound=Effect)
@@ -119,7 +118,7 @@ def trial_speeds(
 ) -> list[float]:
     """Return parts of a quantile of the speeds at which the robots move, within bounds, m/s; none if they stand."""
     speeds = np.abs(np.concatenate([m.v for m in motions]))
-    moving = speeds[speeds > _STILL_MPS]
+    moving = speeds[speeds > 1e-6]
     return np.clip(np.multiply(parts, np.quantile(moving, quantile)), low, high).tolist() if len(moving) else []
 
 

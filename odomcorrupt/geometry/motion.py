@@ -315,12 +315,8 @@ def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion
 
 _ON, _ALL = 0.02, 0.995
 """Largest distance from a multiple, steps, for this share of the speeds: printed numbers have few digits."""
-_FEW = 4
-"""Fewest different multiples that show a step."""
 _MOST = 1000
 """Largest multiple: of finer steps nothing is lost."""
-_SAME = 0.01
-"""Relative difference of both steps, as speeds of a rim, below which they are ticks of encoders."""
 _FLICKER = (0.15, 0.08)
 """Least share of moving intervals in which speed or yaw rate goes a step up and down again, or down and up, if ticks
 are counted before. Jitter of the loop makes speeds flicker in proportion to their size, and yaw rates less, because
@@ -368,7 +364,8 @@ def _steps_shown(v: Array, omega: Array, dt_s: Array) -> _Shown | None:
 
 def are_ticks(steps: tuple[float, float], track_m: float | None) -> bool:
     """Return whether steps of speed, m/s, and yaw rate, rad/s, are in the ratio of ticks of two wheels."""
-    return track_m is not None and abs(0.5 * steps[1] * track_m / steps[0] - 1.0) < _SAME
+    # relative difference of both steps, as speeds of a rim, below which they are ticks of encoders
+    return track_m is not None and abs(0.5 * steps[1] * track_m / steps[0] - 1.0) < 0.01
 
 
 def has_steps_of_speed(v: Array, omega: Array, dt_s: Array, track_m: float) -> bool:
@@ -401,7 +398,8 @@ def step_of(values: Array) -> float | None:
         count = np.rint(size / step)
         step = float(size @ count / max(count @ count, 1.0))
     count = np.rint(size / step)
-    plain = len(np.unique(count)) >= _FEW and np.mean(np.abs(size / step - count) < _ON) >= _ALL
+    # fewest different multiples that show a step
+    plain = len(np.unique(count)) >= 4 and np.mean(np.abs(size / step - count) < _ON) >= _ALL
     return step if plain else None
 
 

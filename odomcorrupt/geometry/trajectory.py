@@ -97,19 +97,11 @@ class Trajectory:
 
 
 _ROUNDED_NS = (100_000_000, 50_000_000, 20_000_000, 10_000_000, 5_000_000, 2_000_000, 1_000_000)
-_ALL = 0.999
-"""Least fraction of the stamps that are multiples of the resolution."""
-_FLOAT_NS = 1_000
-"""Tolerance of a multiple, nanoseconds, for stamps stored as float seconds since 1970 (steps of 238 ns)."""
 _GAP = 1.5
 """Intervals longer than the median by this factor are gaps."""
-_MIN_VARY = 0.02
-"""Least fraction of deviating intervals if stamps are rounded; those of a regular clock do not deviate."""
 _RANDOM = 0.5
 """Least relative standard deviation of the distances between long intervals if messages were lost: it is 0.7 to 1 for
 random losses of up to half of the messages, and at most 0.4 if a slightly longer period is rounded."""
-_LEAST_PERIOD = 1.5
-"""Shortest period, in units of the resolution, at which an even grid can be recognised in rounded stamps."""
 _WINDOW, _TOLERANCE, _MIN_IN = 101, 1.0, 0.99
 """Samples over which the rate is constant; largest deviation from the even grid in units of the resolution, because
 rounding errors differ by less than that from their mean; and the least fraction of stamps within it."""
@@ -122,11 +114,14 @@ def resolution_s(stamps_ns: NDArray[np.int64]) -> float:
     such a clock with lost messages are whole periods.
     """
     steps = np.diff(stamps_ns)
-    whole = next((r for r in _ROUNDED_NS if np.mean(_off(stamps_ns, r) <= _FLOAT_NS) >= _ALL), 0) if len(steps) else 0
+    # least fraction of the stamps that are multiples of the resolution
+    # tolerance of a multiple, nanoseconds, for stamps stored as float seconds since 1970 (steps of 238 ns)
+    whole = next((r for r in _ROUNDED_NS if np.mean(_off(stamps_ns, r) <= 1_000) >= 0.999), 0) if len(steps) else 0
     if not whole:
         return 0.0
     usual = steps[steps < _GAP * np.median(steps) + whole]
-    varied = float(np.mean(np.abs(usual - np.median(usual)) > whole / 2)) > _MIN_VARY
+    # least fraction of deviating intervals if stamps are rounded; those of a regular clock do not deviate
+    varied = float(np.mean(np.abs(usual - np.median(usual)) > whole / 2)) > 0.02
     return whole * 1e-9 if varied and not _lost(steps, whole) else 0.0
 
 
@@ -160,7 +155,8 @@ def evened(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64] | None:
     steps = np.diff(t_s)
     usual = steps[steps < _GAP * np.median(steps) + rounded_s]
     period_s = float(np.mean(usual))
-    if period_s < _LEAST_PERIOD * rounded_s:
+    # shortest period, in units of the resolution, at which an even grid can be recognised in rounded stamps
+    if period_s < 1.5 * rounded_s:
         return None
     off = np.zeros(len(t_s))
     for _ in range(2):  # the first mean includes intervals with a missing message and the first stamp's rounding

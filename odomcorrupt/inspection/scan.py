@@ -23,13 +23,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 
-HUGE = 1e3
-"""Smallest variance that means "unknown", m^2 or rad^2."""
-
-ROUNDING = 1e-9
-"""Tolerance of the symmetry and positive-semidefiniteness checks, relative to the largest variance."""
-
-
 @dataclass(slots=True)
 class CovarianceCheck:
     """Faults of many 6 x 6 covariances in x, y and yaw."""
@@ -59,7 +52,8 @@ class CovarianceCheck:
             return
         self.largest = max(self.largest, float(diagonal.max()))
         off = np.abs(square - square.transpose(0, 2, 1)).max(axis=(1, 2))
-        allowed = ROUNDING * diagonal.max(axis=1)
+        # tolerance of the symmetry and positive-semidefiniteness checks, relative to the largest variance
+        allowed = 1e-9 * diagonal.max(axis=1)
         self.crooked |= bool((off > allowed).any() or (np.linalg.eigvalsh(square)[:, 0] < -allowed).any())
 
     def oddity(self, *, never_changes: bool) -> str | None:
@@ -68,7 +62,8 @@ class CovarianceCheck:
             return "are all zero" if self.count else None
         if self.senseless:
             return "are negative or not numbers"
-        if self.largest >= HUGE:
+        # smallest variance that means "unknown", m^2 or rad^2
+        if self.largest >= 1e3:
             return f'mean "unknown" (up to {self.largest:.3g})'
         if self.crooked:
             return "are not symmetric, or not positive"

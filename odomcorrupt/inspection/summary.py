@@ -154,8 +154,6 @@ def disagreement_m(record: OdometryRecord, edge: EdgeRecord, *, turned: bool) ->
 SCANS = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2")
 _GAP_S, _GAP_PERIODS = 2.0, 5.0
 """A reported gap between scans is longer than this, in seconds and in usual periods."""
-AGREE_M = 0.01
-"""Largest difference at which odometry and TF agree, metres."""
 
 
 def summarise(
@@ -428,7 +426,8 @@ def _about(o: dict[str, Any], *, source: bool) -> list[str]:
     lines += [f"  {', '.join(counts)}"] if counts else []
     if o["sideways_m"] > SIDEWAYS * o["distance_m"] and not any("two publishers" in said for said in o["oddities"]):
         lines.append(f"  moves sideways ({o['sideways_m']:.3g} m): --law omni is made for that")
-    if o["tf_differs_m"] is not None and o["tf_differs_m"] > AGREE_M:
+    # largest difference at which odometry and TF agree, metres
+    if o["tf_differs_m"] is not None and o["tf_differs_m"] > 0.01:
         lines.append(f"  TF and odometry differ by up to {o['tf_differs_m']:.3g} m")
     return lines + [f"  {sentence}" for sentence in o["oddities"]]
 

@@ -28,13 +28,9 @@ if TYPE_CHECKING:
 _PAIRS = 240
 _APART_M, _APART_RAD = 0.25, 0.15
 _LAG_S, _LAG_STEP_S = 0.6, 0.01
-_USUAL_LAG_S = 0.2
-"""Standard deviation of the lag before any turns are compared, s; scans of real robots are 0.08 to 0.19 s off."""
 _LEAST_PAIRS = 8
 _TURNS_RAD, _TURN_RATIOS = 0.5, (0.5, 2.0)
-_PLAIN_RATIO = 0.05
 _DIFFERS_RAD = np.radians(15.0)
-_FEWER = 0.8
 _BETTER = 0.93
 """Ratio of misfits below which a correction is accepted: of matched pairs for estimated times within sweeps, and of the
 odometry between pairs for evenly spaced stamps."""
@@ -229,7 +225,7 @@ def _turning_time(now: Calibration, plain: _Pairs, stated_s: float) -> float:
         # a stated scan_time needs no more evidence than simultaneous beams do
         share = 1.0 if candidate == stated_s else _BETTER
         pairs = _matched(replace(now, turn_s=candidate))
-        misfit = float(np.mean(pairs.deviation_m)) if len(pairs.pose) >= _FEWER * len(plain.pose) else np.inf
+        misfit = float(np.mean(pairs.deviation_m)) if len(pairs.pose) >= 0.8 * len(plain.pose) else np.inf
         if misfit < min(best, share * known):
             best, turn_s = misfit, candidate
     return turn_s
@@ -315,7 +311,8 @@ def _lag(pairs: _Pairs, motion: Motion) -> float:
         scale = float(np.clip(measured @ turned / max(float(turned @ turned), 1e-9), *_TURN_RATIOS))
         miss = np.abs(wrap(measured - scale * turned))
         misfit.append(float(np.minimum(miss, 0.1).sum()))
-    cost = misfit + 0.5 * (lags / _USUAL_LAG_S) ** 2 * min(misfit) / len(measured)
+    # standard deviation of the lag before any turns are compared, s; scans of real robots are 0.08 to 0.19 s off
+    cost = misfit + 0.5 * (lags / 0.2) ** 2 * min(misfit) / len(measured)
     best = int(np.argmin(cost))
     if not 0 < best < len(lags) - 1:
         return 0.0
@@ -340,7 +337,7 @@ def _turn_ratio(pairs: _Pairs, motion: Motion) -> float:
 
 def _mounting(pairs: _Pairs, motion: Motion) -> Array | None:
     """Return the laser's pose (3,) on the robot; None if the drive does not determine it."""
-    plain = pairs.ratio > _PLAIN_RATIO
+    plain = pairs.ratio > 0.05
     if plain.sum() < _LEAST_PAIRS:
         return None
     own = between(motion.robot(pairs.first_s[plain]), motion.robot(pairs.second_s[plain]))

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 _SWEEPS = 5
 _REACH_M, _STEP_M = 0.6, 0.2
-_STEP_RAD = np.radians(5.0)
 _MOST = 360
 _NEAR_M, _NEAR_RAD = 0.02, 0.02
 """Largest distance (m) and angle (rad) of a match from the median of the drive's matches; others are wrong."""
@@ -137,5 +136,5 @@ def _near(away: Array) -> NDArray[np.bool_]:
 def _everywhere() -> Array:
     """Return guesses (g, 3) on a grid of positions near the start and of all headings."""
     steps = np.arange(-_REACH_M, _REACH_M + 0.5 * _STEP_M, _STEP_M)
-    turns = np.arange(-np.pi, np.pi, _STEP_RAD)
+    turns = np.arange(-np.pi, np.pi, np.radians(5.0))
     return np.stack(np.meshgrid(steps, steps, turns, indexing="ij"), axis=-1).reshape(-1, 3)

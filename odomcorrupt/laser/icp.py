@@ -28,17 +28,12 @@ WEAK = 0.15
 COARSE = 60
 """Number of returns with which the nearest of many guesses is found, and least number to begin from."""
 _GATES_M = (0.5, 0.3, 0.2, 0.15)
-_MOST_STEPS = 15
 _STEP_M, _STEP_RAD = 5e-4, 1e-4
-_FINEST_M = 0.004
 _TUNING = 2.0
-_OVERLAP_M = 0.12
 _FLAT = 1e-3
 _PLAIN = 2.25 * _FLAT
 """Determinant of a 3 x 3 matrix with unit diagonal above which no eigenvalue is below `_FLAT`, because the product of
 the other two is at most 9/4."""
-_HELD = 0.05
-"""Ratio of the eigenvalues, as for `WEAK`, below which the guess is kept along the weak axis."""
 
 
 class Surface(NamedTuple):
@@ -82,7 +77,7 @@ def match(returns: Array, surface: Surface, guess: Array, gates_m: Sequence[floa
     if len(surface.points) < LEAST_RETURNS or len(returns) < LEAST_RETURNS:
         return None
     pose = np.array(guess, dtype=np.float64)
-    for step in range(_MOST_STEPS):
+    for step in range(15):
         gate = gates_m[min(step, len(gates_m) - 1)]
         c, s = np.cos(pose[2]), np.sin(pose[2])
         lever = returns @ np.array([[c, s], [-s, c]])
@@ -93,7 +88,8 @@ def match(returns: Array, surface: Surface, guess: Array, gates_m: Sequence[floa
         lever, index = lever[paired], index[paired]
         normal = surface.normals[index]
         miss = np.einsum("ij,ij->i", normal, surface.points[index] - lever - pose[:2])
-        deviation = max(1.4826 * _median(np.abs(miss)), _FINEST_M)
+        # at least 4 mm, the noise of good lasers
+        deviation = max(1.4826 * _median(np.abs(miss)), 0.004)
         weight = 1.0 / (1.0 + (miss / (_TUNING * deviation)) ** 2)
         jacobian = np.empty((len(paired), 3))
         jacobian[:, :2] = normal
@@ -102,7 +98,8 @@ def match(returns: Array, surface: Surface, guess: Array, gates_m: Sequence[floa
         information = jacobian.T @ weighted
         move = _step(information, weighted.T @ miss)
         values, vectors = _axes(information)
-        if values[0] < _HELD * values[1]:
+        # ratio of the eigenvalues, as for `WEAK`, below which the guess is kept along the weak axis
+        if values[0] < 0.05 * values[1]:
             move[:2] = vectors[:, 1] * (vectors[:, 1] @ move[:2])
         pose += move
         if step >= len(gates_m) - 1 and abs(move[0]) + abs(move[1]) < _STEP_M and abs(move[2]) < _STEP_RAD:
@@ -112,7 +109,7 @@ def match(returns: Array, surface: Surface, guess: Array, gates_m: Sequence[floa
         pose=pose,
         information=information / deviation**2,
         deviation_m=deviation,
-        overlap=float(np.count_nonzero(distance < _OVERLAP_M)) / len(returns),
+        overlap=float(np.count_nonzero(distance < 0.12)) / len(returns),
         ratio=float(values[0] / max(values[1], 1e-12)),
         weak_axis=vectors[:, 0],
     )
@@ -172,12 +169,8 @@ def thinned(scan: Array, count: int) -> Array:
     return scan[:: max(1, len(scan) // count)]
 
 
-_REACH_M = 0.3
-"""Largest distance of a return's neighbours, m."""
 _NEIGHBOURS = 6
 _LEAST = 3
-_SCATTER = 0.3
-"""Ratio of the scatter across a line to that along it above which the neighbours are not a line."""
 
 
 class Lines(NamedTuple):
@@ -201,7 +194,8 @@ def lines_of(xy: Array) -> Lines:
     index = np.arange(count)[:, None] + offsets
     inside = (index >= 0) & (index < count)
     near = xy[np.clip(index, 0, count - 1)] - xy[:, None, :]
-    weight = (inside & (np.einsum("ijk,ijk->ij", near, near) < _REACH_M**2)).astype(np.float64)
+    # largest distance of a return's neighbours, m
+    weight = (inside & (np.einsum("ijk,ijk->ij", near, near) < 0.3**2)).astype(np.float64)
     return _fitted(xy, near, weight)
 
 
@@ -216,7 +210,8 @@ def _fitted(xy: Array, near: Array, weight: Array) -> Lines:
     direction = 0.5 * np.arctan2(2.0 * xy_, xx - yy)
     half, middle = np.hypot(0.5 * (xx - yy), xy_), 0.5 * (xx + yy)
     small, large = np.maximum(middle - half, 0.0), middle + half
-    known = (number >= _LEAST) & (small < _SCATTER**2 * large)
+    # ratio of the scatter across a line to that along it above which the neighbours are not a line
+    known = (number >= _LEAST) & (small < 0.3**2 * large)
     normal = np.stack((-np.sin(direction), np.cos(direction)), axis=1)[known]
     off = np.einsum("ij,ij->i", mean[known], normal)
     return Lines(xy[known] + off[:, None] * normal, normal)

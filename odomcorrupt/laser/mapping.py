@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from odomcorrupt.laser.trajectory import LaserRun
     from odomcorrupt.mapping.scan_map import ScanMap
 
-_MOST_RAYS = 400_000
 _LEAST_SAID_S = 1.0
 
 
@@ -125,7 +124,7 @@ def _rays(run: LaserRun) -> Rays:
     motion, sweeps = run.calibration.motion, run.sweeps
     placed = [sweeps.sweeps[row] for row in run.path.row]
     total = sum(len(s) for s in placed)
-    thin = max(1, total // _MOST_RAYS)
+    thin = max(1, total // 400_000)
     lag_ns = round(motion.lag_s * 1e9)
     mount = mount_at(motion.mount)
     plane = mount.plane @ np.diag([1.0, -1.0 if run.calibration.mirrored else 1.0])

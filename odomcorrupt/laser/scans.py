@@ -117,12 +117,6 @@ class Deskewing:
         return float(after_s.min()), float(after_s.max())
 
 
-_GAP = 2.5
-"""Gap in usual sweep periods, over which sweeps are not counted."""
-_FEWEST = 10
-"""Smallest number of sweeps on each side over which the rate is taken as constant."""
-
-
 def even_stamps(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return stamps (n,) on lines fitted to the n increasing stamps as a function of the sweep's number.
 
@@ -135,13 +129,15 @@ def even_stamps(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         return stamps_ns
     steps = np.diff(stamps_ns)
     period = float(np.median(steps))
-    broken = np.flatnonzero(steps > _GAP * period)
+    # gap in usual sweep periods, over which sweeps are not counted
+    broken = np.flatnonzero(steps > 2.5 * period)
     first, last = np.append(0, broken + 1), np.append(broken, n - 1)
     stretch = np.searchsorted(last, np.arange(n))
     # deviations from one line keep the sums below small
     late = (stamps_ns - stamps_ns[0]).astype(np.float64) - period * np.arange(n)
     best, least = late, np.inf
-    half = _FEWEST
+    # smallest number of sweeps on each side over which the rate is taken as constant
+    half = 10
     while True:
         smooth, share = _lines(late, first[stretch], last[stretch], half)
         miss = float(np.mean(np.abs(late - smooth) / np.maximum(1.0 - share, 1e-9)))
@@ -176,8 +172,6 @@ def _lines(late: Array, first: NDArray[np.int64], last: NDArray[np.int64], half:
 
 MOST_RETURNS = 720
 """Number of returns to which denser sweeps are thinned: more cost time and add little information."""
-_LEAST_S = 2e-3
-"""Median deviation from even spacing below which stamps are kept, s: a robot moves a millimetre or two in that time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +234,9 @@ class Sweeps:
         """
         stamps = self.stamps_ns
         even = even_stamps(stamps)
-        if not len(self) or np.median(np.abs(even - stamps)) < _LEAST_S * 1e9 or np.any(np.diff(even) <= 0):
+        # median deviation from even spacing below which stamps are kept, s: a robot moves a millimetre or two in that
+        # time
+        if not len(self) or np.median(np.abs(even - stamps)) < 2e-3 * 1e9 or np.any(np.diff(even) <= 0):
             return None
         moved = zip(self.sweeps, even.tolist(), strict=True)
         return replace(self, sweeps=tuple(replace(sweep, stamp_ns=stamp) for sweep, stamp in moved))
@@ -264,10 +260,6 @@ class Sweeps:
 
 _FARTHEST_M = 200.0
 _SLICE_RAD = np.radians(2.0)
-_FLAT_M = 0.01
-_EDGE = 0.995
-"""Fraction of the maximum range above which a range means no return: drivers write the maximum or just below it."""
-_COMMON = 0.03
 _LEAST_SWEEPS = 20
 _BODY_M, _BODY_SPREAD_M, _BODY_SHARE = 1.0, 0.01, 0.9
 
@@ -369,9 +361,10 @@ def _no_return_m(scans: list[ScanMessage]) -> float:
     sample = sample[np.isfinite(sample) & (sample > 0.0) & (sample < largest)]
     if len(sample):
         top = float(sample.max())
-        if np.mean(sample > top - 1e-3) > _COMMON:
+        if np.mean(sample > top - 1e-3) > 0.03:
             return top - 1e-3
-    return min(_EDGE * largest, _FARTHEST_M)
+    # fraction of the maximum range above which a range means no return: drivers write the maximum or just below it
+    return min(0.995 * largest, _FARTHEST_M)
 
 
 def _own_body(scans: list[ScanMessage], farthest: float) -> NDArray[np.bool_] | None:
@@ -426,7 +419,7 @@ def _slice(cloud: CloudMessage) -> Sweep:
     good = np.isfinite(xyz).all(axis=1)
     xyz, after = xyz[good], after[good]
     radius = np.hypot(xyz[:, 0], xyz[:, 1])
-    planar = len(xyz) > 0 and np.ptp(xyz[:, 2]) < _FLAT_M
+    planar = len(xyz) > 0 and np.ptp(xyz[:, 2]) < 0.01
     near = (radius > 0.05) & (radius < _FARTHEST_M)
     level = near & (planar | (np.abs(np.arctan2(xyz[:, 2], radius)) < _SLICE_RAD))
     xyz, after, radius = xyz[level], after[level], radius[level]

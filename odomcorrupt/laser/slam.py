@@ -103,13 +103,8 @@ def optimise(poses: Array, edges: Edges, rounds: int = 12) -> tuple[Array, Array
 
 NEIGHBOURS = 8
 """Maximum number of nearest keyframes to which a new one is connected."""
-_NEAR_M = 3.0
-_LOCAL = 6
-_LOOP_OVERLAP = 0.55
-_QUERY = 240
 _REACH_M, _REACH_RAD = 0.5, 0.1
 _STEPS = np.stack(np.meshgrid(*(np.array([-1.0, 0.0, 1.0]),) * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-_HELD = 0.3
 _EDGE_M, _EDGE_RAD = 0.004, 0.001
 _WEAK_AGAIN = 0.01
 _ODOMETRY_M, _ODOMETRY_RAD = 0.1, 0.05
@@ -168,7 +163,7 @@ class KeyframeMap:
     def local(self, k: int) -> Surface:
         """Return the surface of a keyframe and its nearest connected ones, in its frame."""
         if k not in self._local:
-            chosen = [k, *self.nearest(self.poses[k], list(self._beside[k]))[:_LOCAL]]
+            chosen = [k, *self.nearest(self.poses[k], list(self._beside[k]))[:6]]
             parts = []
             for other in chosen:
                 points, facing = self._own[other]
@@ -211,7 +206,8 @@ class KeyframeMap:
         """Connect keyframe k with those of `near` within 3 m that it matches; return whether each match is a loop."""
         around, loops = set(self.reachable(k, 4)), []
         for i in near:
-            if float(self.distances(self.poses[k], np.array([i]))[0]) > _NEAR_M:
+            # more than 3 m apart they share little of the view
+            if float(self.distances(self.poses[k], np.array([i]))[0]) > 3.0:
                 continue
             loop = i not in around
             found = self.pair(i, k, wide=loop)
@@ -232,8 +228,9 @@ class KeyframeMap:
             if len(surface.points) < COARSE:
                 return None
             guess = nearest_pose(scan, surface, guess)
-        found = match(thinned(scan, _QUERY), surface, guess)
-        if found is None or found.overlap < (_LOOP_OVERLAP if wide else OVERLAP):
+        found = match(thinned(scan, 240), surface, guess)
+        # a wide search may find a similar place: it has to overlap by more
+        if found is None or found.overlap < (0.55 if wide else OVERLAP):
             return None
         if not wide:
             away = found.pose - guess
@@ -252,7 +249,8 @@ class KeyframeMap:
         for k in {*i[moved].tolist(), *j[moved].tolist()}:
             self._local.pop(k, None)
         for edge, weight in zip(self.edges, weights, strict=True):
-            if edge.loop and weight < _HELD:
+            # a loop that the others contradict
+            if edge.loop and weight < 0.3:
                 for one, other in ((edge.first, edge.second), (edge.second, edge.first)):
                     if other in self._beside[one]:
                         self._beside[one].discard(other)
@@ -307,11 +305,9 @@ def edge_information(found: Match) -> Array:
     return information
 
 
-_TRACK_QUERY = 180
 _AWAY_M, _AWAY_RAD = 0.25, 0.2
 _AWAY_SHARE = 0.2
 _NEW_M, _LEAST_M = 0.5, 0.1
-_LOST = 3
 _KEYFRAME_RETURNS = 40
 _FAST_MPS, _FAST_RADPS = 5.0, 6.0
 _GATES_M = (0.4, 0.25, 0.15)
@@ -376,7 +372,7 @@ class _Tracker:
         matched = self._matched(scan, guess, step)
         if matched is None:
             self._lost += 1
-            if self._lost > _LOST and len(scan) >= _KEYFRAME_RETURNS:
+            if self._lost > 3 and len(scan) >= _KEYFRAME_RETURNS:
                 self._begin(n, scan, guess)
             return
         self._lost = 0
@@ -395,7 +391,7 @@ class _Tracker:
         """Return the match of a sweep with the local map, searched more widely if previous sweeps were lost."""
         if not len(scan):
             return None
-        world, query = self.world, thinned(scan, _TRACK_QUERY)
+        world, query = self.world, thinned(scan, 180)
         found = match(query, world.local(self._current), guess, _GATES_M)
         if _fits(found, guess, step, OVERLAP, 1.0):
             return found

@@ -119,10 +119,8 @@ def relocalised(
 
 _FEW = 60
 _EXTREME = 99.0
-_GAP = 1.6
 _TURNS_RADPS, _MOVES_MPS = 0.1, 0.05
 _YAW = 2
-_LEAST_S = 1e-3
 _SMALLEST, _LARGEST = 0.04, 400.0
 _SPIKE, _NEIGHBOURS, _NEAR_S = 6.0, 3, 0.7
 """Threshold for a spike, in usual deviations from its neighbours' median prediction; number of neighbours per side;
@@ -148,7 +146,7 @@ def white_noise(path: LaserPath, motion: Motion) -> WhiteNoise:
     step = between(robot[:-1], robot[1:]) - between(path.xyt[:-1], path.xyt[1:])
     step[:, 2] = wrap(step[:, 2])
     apart = np.diff(t_s)
-    whole = (apart < _GAP * float(np.median(apart))) & (path.part[:-1] == path.part[1:])
+    whole = (apart < 1.6 * float(np.median(apart))) & (path.part[:-1] == path.part[1:])
     both = whole[:-1] & whole[1:]
     seen = both & ~(path.weak[:-2] | path.weak[1:-1] | path.weak[2:])
     rate = _rate(path, motion)[1:-1]
@@ -178,7 +176,7 @@ def white_noise(path: LaserPath, motion: Motion) -> WhiteNoise:
     error = np.sqrt(np.diag(inverse)) * float(np.std(target - scaled @ solution))
     jitter = float(np.sqrt(solution[2] / scale[2])) if solution[2] > 2.0 * error[2] else 0.0
     position, heading = np.clip(solution[:2] / scale[:2], (_SMALLEST, 1.0), _LARGEST).tolist()
-    return WhiteNoise(position, heading, jitter if jitter > _LEAST_S else 0.0)
+    return WhiteNoise(position, heading, jitter if jitter > 1e-3 else 0.0)
 
 
 def with_noise(path: LaserPath, motion: Motion, noise: WhiteNoise) -> LaserPath:

@@ -354,10 +354,6 @@ class FreeRuns:
 
 
 PARTICLES = 64
-_MOST_SIGMAS = 6.0
-"""Drift at the end, in standard deviations, above which it is attributed to the map instead of the noise."""
-_MOST_OUTSIDE = 0.25
-"""Fraction of odometry poses outside free space above which map and recording do not belong together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -421,7 +417,8 @@ def whole_path(
     """
     require_free(within.space, clean_xyt[0])
     astray = 1.0 - float(np.mean(within.space.free(clean_xyt[:, :2])))
-    if astray > _MOST_OUTSIDE:
+    # fraction of odometry poses outside free space above which map and recording do not belong together
+    if astray > 0.25:
         raise NoFreePoseError(f"{astray:.0%} of the odometry's own poses are not free")
     try:
         _refuse_held_back(FreePath(model, within, seed, run).feed(stamps_ns, clean_xyt))
@@ -437,7 +434,8 @@ def _refuse_held_back(samples: PathSamples) -> None:
     meter = DriftMeter()
     meter.add(samples)
     drift = meter.result()
-    if drift is not None and drift.end_drawn_m > _MOST_SIGMAS * drift.end_expected_m > 0.0:
+    # drift at the end, in standard deviations, above which it is attributed to the map instead of the noise
+    if drift is not None and drift.end_drawn_m > 6.0 * drift.end_expected_m > 0.0:
         raise NoFreePoseError(
             f"within the map the odometry ends {drift.end_drawn_m:.3g} m from where it was recorded, and noise of this "
             f"model accounts for about {drift.end_expected_m:.2g} m"

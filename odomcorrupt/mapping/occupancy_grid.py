@@ -85,7 +85,6 @@ class Grid:
 SAVED_UNKNOWN = 205
 """Pixel value of unknown in every map_saver; with nav2's own free_thresh of 0.25 it would load as free."""
 _USUAL = {"mode": "trinary", "negate": "0", "free_thresh": "0.25", "occupied_thresh": "0.65"}
-_YAML_BYTES = 1 << 14
 _GAP = rb"(?:\s|#[^\n]{0,200}\n)+"
 _HEADER = re.compile(rb"P5" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,5})\s")
 
@@ -142,7 +141,7 @@ def format_map(grid: Grid, image_name: str) -> tuple[bytes, str]:
 def _keys(path: Path) -> dict[str, str]:
     """Return the keys of a map's .yaml, as text."""
     try:
-        found = load_yaml(read_input(path, _YAML_BYTES, "map's .yaml", MapError).decode(errors="replace"))
+        found = load_yaml(read_input(path, 1 << 14, "map's .yaml", MapError).decode(errors="replace"))
     except ValueError as error:
         raise MapError(
             f"{path}: is not a map's .yaml of names and numbers: {error}; name the one that comes with the image"
@@ -192,8 +191,6 @@ def _read_pgm(path: Path) -> NDArray[np.uint8]:
     return value if most == 255 else np.minimum(value * (255.0 / most), 255.0).astype(np.uint8)
 
 
-OCCUPIED_SHARE = 0.25
-"""Smallest share of the rays reaching a cell that end in it, for the cell to be a wall (gmapping's occ_thresh)."""
 _RAYS_AT_ONCE = 1 << 15
 
 
@@ -266,13 +263,12 @@ def draw_map(canvas: Canvas, from_xy: Array, to_xy: Array) -> Grid:
             np.add.at(passed, cell[:, 1] * columns + cell[:, 0], weight[part][number])
     np.add.at(hit, flat_end, 1)
     share = hit / np.maximum(hit + passed, 1)
-    cells = np.where(share >= OCCUPIED_SHARE, OCCUPIED, FREE)
+    # smallest share of the rays reaching a cell that end in it, for the cell to be a wall (gmapping's occ_thresh)
+    cells = np.where(share >= 0.25, OCCUPIED, FREE)
     cells = np.where(hit + passed == 0, UNKNOWN, cells).astype(np.uint8)
     return Grid(cells.reshape(rows, columns), canvas.resolution_m, np.array([*canvas.low_xy, 0.0]))
 
 
-_MOST_WORK = 2e9
-"""Largest product of the cells of a map and the robot's radius in cells: ten seconds."""
 Unknown = Literal["blocked", "free"]
 Check = Literal["endpoint", "path"]
 
@@ -344,7 +340,8 @@ def free_space(
     """
     if not (np.isfinite(radius_m) and radius_m >= 0.0):
         raise MapError(f"robot radius: {radius_m} m; it must be zero or more")
-    if radius_m / grid.resolution_m * grid.cells.size > _MOST_WORK:
+    # largest product of the cells of a map and the robot's radius in cells: ten seconds
+    if radius_m / grid.resolution_m * grid.cells.size > 2e9:
         raise MapError(
             f"map: {grid.cells.size:,} cells of {grid.resolution_m:g} m, and a robot of {radius_m:g} m; that takes "
             "minutes: give a coarser map, or a smaller --robot-radius"

@@ -108,8 +108,6 @@ _MARKS = 8
 """Number of distances at which the walls are measured."""
 _CELL_M = 0.02
 """Side of the cells into which points are binned, metres."""
-_FLAT = 0.1
-"""Ratio of the smaller to the larger variance above which points are not a wall and have no normal."""
 
 
 def added_thickness(clean_m: Array, noisy_m: Array) -> Array:
@@ -142,7 +140,8 @@ def distance_to_surface(clean_xy: Array, noisy_xy: Array) -> Array:
     along = 0.5 * np.arctan2(2.0 * xy, xx - yy)
     shift = noisy_xy - clean_xy
     across = np.abs(-np.sin(along) * shift[:, 0] + np.cos(along) * shift[:, 1])
-    return np.where(smaller < _FLAT * (xx + yy - smaller), across, np.nan)
+    # ratio of the smaller to the larger variance above which points are not a wall and have no normal
+    return np.where(smaller < 0.1 * (xx + yy - smaller), across, np.nan)
 
 
 def _smaller(xx: Array, xy: Array, yy: Array) -> Array:

@@ -24,8 +24,6 @@ MOST = 64
 """Largest number of parameters accepted; no fit has more."""
 
 _DIGITS = 4
-_ROUNDED = 1e-3
-"""Tolerance below zero for eigenvalues of a matrix rounded in a file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +72,8 @@ class Correlation:
             raise ModelError(f"fit.correlation.parameters: {len(names)} names; at most {MOST}, each once")
         matrix = _matrix(rows, len(names))
         lowest = float(np.linalg.eigvalsh(matrix)[0]) if len(names) else 0.0
-        if lowest < -_ROUNDED * len(names):
+        # tolerance below zero for eigenvalues of a matrix rounded in a file
+        if lowest < -1e-3 * len(names):
             raise ModelError(
                 f"fit.correlation.matrix: it is not a correlation matrix (its smallest eigenvalue is {lowest:.3g}, "
                 "below 0); move its numbers towards 0"

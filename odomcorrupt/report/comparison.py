@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 TONES: dict[str, Tone] = {"better": "good", "mixed": "warning", "worse": "bad", "same": "plain"}
 """Tone of a line on the agreement of the measures."""
-_SHOWN_MODELS = 4
-"""Largest number of models with a line each in a comparison."""
 _BAR = 30
 _NAME = 24
 """Columns of a model's name; a longer one gets a separate line, so that bars are aligned."""
@@ -70,7 +68,8 @@ def comparison_brief(comparison: Comparison) -> Summary:
     lines = [first]
     if isfinite(comparison.raw_error_m):
         lines.append(Line("odometry", f"10 s error {size('along', comparison.raw_error_m)} as measured"))
-    shown = comparison.evaluations[-_SHOWN_MODELS:]
+    # largest number of models with a line each in a comparison
+    shown = comparison.evaluations[-4:]
     for one in shown:
         said = f"{one.name}: 10 s error {size('along', one.ten_second_error_m)}, {one.nats.per_m:.4g} nats/m, "
         said += "rejected" if one.verdict.fails else "not rejected"

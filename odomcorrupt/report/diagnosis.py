@@ -286,13 +286,10 @@ def _fall(what: str, before: float, after: float) -> str:
     return f"{what}: {size('along', before)} -> {size('along', after)} ({100.0 * (after / before - 1.0):+.0f} %)"
 
 
-_MOST_CANDIDATES = 8
-
-
 def candidates_table(step: Step) -> str:
     """Return the candidates of one step, those with most evidence first."""
     head = f"{'effect':<21}{'estimate':<44}{'evidence':>10}{'held out':>16}{'10 s error':>20}"
-    return "\n".join([head, *map(_candidate_line, step.candidates[:_MOST_CANDIDATES])])
+    return "\n".join([head, *map(_candidate_line, step.candidates[:8])])
 
 
 def _candidate_line(candidate: Candidate) -> str:
@@ -322,9 +319,6 @@ def _sequence_text(learned: Learned) -> str:
             f"{before * 1e3:6.1f} -> {after * 1e3:.1f} mm after 10 s   {confidence_words(one.confidence)}{rivals}"
         )
     return "\n".join(lines)
-
-
-_MOST_EVENTS = 8
 
 
 def fit_text(result: RobotFit, *, clocks: bool = True) -> str:
@@ -365,7 +359,7 @@ def _event_lines(found: Sequence[Event]) -> list[str]:
     """Return the downweighted segments, the largest first, with the time since the recording's first odometry."""
     total = sum(event.end_s - event.start_s for event in found)
     lines = [f"{len(found)} stretches ({total:.1f} s) are outliers with reduced weight; the largest:"]
-    largest = sorted(found, key=lambda e: abs(e.along_m) + abs(e.yaw_rad), reverse=True)[:_MOST_EVENTS]
+    largest = sorted(found, key=lambda e: abs(e.along_m) + abs(e.yaw_rad), reverse=True)[:8]
     lines += [
         f"  {e.recording} {e.start_s:8.1f} to {e.end_s:.1f} s: odometry {e.along_m * 1e3:+.0f} mm ahead of the truth, "
         f"{degrees(e.yaw_rad):+.2f} deg"

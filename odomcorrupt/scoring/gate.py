@@ -40,7 +40,6 @@ FALSE_RED = 0.01
 LEAST_PAIRS = 8
 """Smallest number of pairs with which an outcome can be as rare as half of `FALSE_RED`, i.e. the gate can fail."""
 
-_EXACT = 200
 _SWAPS = 1_999
 _WORST = 5
 """Largest number of runs that a failed rule on an error names; a rule on lost runs names all."""
@@ -210,7 +209,7 @@ def _signed_rank(d: Array) -> float:
     # mean ranks of ties, doubled to be integers
     doubled = (2 * np.cumsum(counts) - counts + 1)[inverse]
     observed = int(doubled[d > 0.0].sum())
-    if n > _EXACT:
+    if n > 200:
         deviation = np.sqrt(np.sum(doubled.astype(float) ** 2)) / 2.0
         return erfc((observed - doubled.sum() / 2.0 - 1.0) / deviation / sqrt(2.0)) / 2.0
     # number of sign patterns with each sum of positive ranks, as probabilities

@@ -183,9 +183,6 @@ ERRORS = ("ate_m", "ate_rad", "max_m", "rpe_m", "rpe_rad", "error_10s_m", "end_m
 METRICS = (*ERRORS, "nees", "inside_95")
 """Metrics of a run, in the order of display."""
 
-_KEPT = 400
-"""Number of points of each run's errors along the path that are kept for figures."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunScore:
@@ -445,7 +442,8 @@ def _judged(blank: RunScore, errors: PathErrors, limits: Limits) -> RunScore:
     if errors.coverage < limits.least_coverage:
         lost = f"; before that {reason}" if reason else ""
         status, reason = "partial", f"covers {100.0 * errors.coverage:.0f} % of the path{lost}"
-    kept = np.unique(np.linspace(0, len(errors.t_s) - 1, _KEPT).astype(int))
+    # number of points of each run's errors along the path that are kept for figures
+    kept = np.unique(np.linspace(0, len(errors.t_s) - 1, 400).astype(int))
     return replace(
         blank, status=status, reason=reason, metrics=errors.metrics(), failure=failure, coverage=errors.coverage,
         jumps_s=tuple(errors.t_s[errors.jumps(limits)].tolist()), distance_m=errors.distance_m[kept],

@@ -16,9 +16,6 @@ LOST_PART = 0.05
 """Fraction of lost runs that defines the break-down point."""
 _LOST_LOGIT = float(np.log(LOST_PART / (1.0 - LOST_PART)))
 
-_CHI2_1_95 = 3.841
-"""Twice the decrease of the log likelihood at the ends of a 95 % interval of one parameter."""
-
 
 def quantile(values: Array, q: float) -> Array:
     """Return a quantile over the last axis of values, which may be infinite; linear between neighbours."""
@@ -127,7 +124,8 @@ def breakdown(drift: Array, lost: NDArray[np.bool_]) -> Breakdown:
     grid, slopes = np.linspace(x.min() - 3.0, x.max() + 3.0, 601), np.geomspace(0.3, 60.0, 40)
     every = np.stack([_log_likelihood(x, y, grid, slope) for slope in slopes])
     best = every.max(axis=0)
-    first, last = grid[np.flatnonzero(2.0 * (best.max() - best) <= _CHI2_1_95)[[0, -1]]]
+    # twice the decrease of the log likelihood at the ends of a 95 % interval of one parameter
+    first, last = grid[np.flatnonzero(2.0 * (best.max() - best) <= 3.841)[[0, -1]]]
     low = 0.0 if first < x.min() else float(np.exp(min(first, x.max())))
     high = float("inf") if last > x.max() else float(np.exp(max(last, x.min())))
     # of a range of equal likelihood, the middle

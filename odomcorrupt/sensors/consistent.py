@@ -33,9 +33,7 @@ SENSORS = frozenset({
 })  # fmt: skip
 """Message types that are rewritten."""
 
-_STEP_S = 0.5  # long against the delays between sensors
 _MOST = 0.1  # part of a number's variance that is not explained, and error of a coefficient relative to all
-_FASTEST_MPS = 20.0  # a pose that moves faster was set
 _LEAST = 0.02  # size of a motion among the others, and of what others do not explain of it
 
 
@@ -116,7 +114,8 @@ def _body_motion(path: list[Array]) -> Array:
     rows = _ordered(path)
     steps = increments(rows[:, 1:])
     each = np.stack((steps.ds_m, steps.dl_m, steps.dtheta_rad), axis=1)
-    each[np.hypot(steps.ds_m, steps.dl_m) > _FASTEST_MPS * np.diff(rows[:, 0])] = 0.0
+    # a pose that moves faster was set
+    each[np.hypot(steps.ds_m, steps.dl_m) > 20.0 * np.diff(rows[:, 0])] = 0.0
     rows[:1, 1:], rows[1:, 1:] = 0.0, np.cumsum(each, axis=0)
     return rows
 
@@ -126,7 +125,8 @@ def _relation(motion: Array, own_s: Array, values: Array, rates: tuple[bool, ...
     if min(len(own_s), len(motion)) < 2:
         return None
     first, last = np.maximum(own_s[0], motion[0, 0]), np.minimum(own_s[-1], motion[-1, 0])
-    grid = np.arange(first, last, max(_STEP_S, 4.0 * float(np.median(np.diff(own_s)))))
+    # long against the delays between sensors
+    grid = np.arange(first, last, max(0.5, 4.0 * float(np.median(np.diff(own_s)))))
     if len(grid) < 12:  # as many as the numbers of the fit, three times
         return None
     body = np.stack([np.diff(np.interp(grid, motion[:, 0], one)) for one in motion[:, 1:].T], axis=1)

@@ -227,11 +227,6 @@ def wrap(angle_rad: np.ndarray) -> np.ndarray:
     return np.pi - (np.pi - angle_rad) % (2 * np.pi)
 
 
-HUNTING_MPS_PER_RIPPLE = 0.4
-HUNTING_TAU_S = 0.25
-COGS_PER_TURN = 7
-
-
 def wheel_angles(
     command: np.ndarray, step_s: float, robot: Robot, ripple: float, rng: np.random.Generator
 ) -> np.ndarray:
@@ -247,10 +242,11 @@ def wheel_angles(
     keep = np.exp(-step_s / robot.motor_lag_s)
     rim_mps = lfilter([1.0 - keep], [1.0, -keep], wanted_mps, axis=0)
 
-    stay = np.exp(-step_s / HUNTING_TAU_S)
+    # a speed controller hunts by 0.4 m/s per ripple, correlated over 0.25 s; the motor cogs seven times a turn
+    stay = np.exp(-step_s / 0.25)
     hunting = lfilter([np.sqrt(1.0 - stay**2)], [1.0, -stay], rng.normal(size=rim_mps.shape), axis=0)
-    hunting_mps = HUNTING_MPS_PER_RIPPLE * hunting * np.abs(rim_mps) / (np.abs(rim_mps) + 0.05)
-    cog_rad = COGS_PER_TURN * np.cumsum(rim_mps, axis=0) * (step_s / robot.nominal_radius_m)
+    hunting_mps = 0.4 * hunting * np.abs(rim_mps) / (np.abs(rim_mps) + 0.05)
+    cog_rad = 7 * np.cumsum(rim_mps, axis=0) * (step_s / robot.nominal_radius_m)
     cogging_mps = rim_mps * np.sin(cog_rad + rng.uniform(0.0, 2.0 * np.pi, size=2))
     turning_mps = rim_mps + ripple * (cogging_mps + hunting_mps)
     return np.asarray(np.cumsum(turning_mps, axis=0) * (step_s / robot.nominal_radius_m))
@@ -275,10 +271,6 @@ def _carried(motor_rad: list[float], gap_rad: float) -> list[float]:
         wheel_rad = min(max(wheel_rad, pushing), pushing + gap_rad)
         turned.append(wheel_rad)
     return turned
-
-
-JOLT_S = 0.5
-"""Duration of constant floor roughness in a floor with heavy-tailed creep, s."""
 
 
 def roll(wheel_rad: np.ndarray, step_s: float, robot: Robot, creep: float, streams: Streams) -> np.ndarray:
@@ -317,7 +309,8 @@ def _radius_now(wheel_rad: np.ndarray, step_s: float, robot: Robot) -> np.ndarra
 
 def _roughness(n: int, step_s: float, inverse_dof: float, streams: Streams) -> np.ndarray:
     """Return factors (n,) that turn normal draws into Student's t, constant over each section of floor."""
-    per_jolt = round(JOLT_S / step_s)
+    # duration of constant floor roughness in a floor with heavy-tailed creep, s
+    per_jolt = round(0.5 / step_s)
     chi2 = streams("jolts").chisquare(1.0 / inverse_dof, size=n // per_jolt + 1)
     return np.repeat(1.0 / np.sqrt(chi2 * inverse_dof), per_jolt)[:n]
 
@@ -363,8 +356,6 @@ def creep_sideways(v_mps: np.ndarray, omega_radps: np.ndarray, step_s: float, ro
 
 COARSE = 10
 """Grid steps over which a wheel's position counts as constant (20 ms: less than the length of a contact patch)."""
-WEIGHT_SHIFT_S = 0.1
-"""Time constant of the weight shift in braking, s."""
 
 
 def lose_by_speed(travel_m: np.ndarray, rim_mps: np.ndarray, step_s: float, floor: Floor) -> np.ndarray:
@@ -376,7 +367,8 @@ def lose_by_speed(travel_m: np.ndarray, rim_mps: np.ndarray, step_s: float, floo
     if np.isfinite(floor.grip_mps):
         travel_m = np.where(speed_mps > floor.grip_mps, (1.0 - floor.grip_slip) * travel_m, travel_m)
     if np.isfinite(floor.braking_mps2):
-        keep = np.exp(-step_s / WEIGHT_SHIFT_S)
+        # time constant of the weight shift in braking, s
+        keep = np.exp(-step_s / 0.1)
         felt_mps = lfilter([1.0 - keep], [1.0, -keep], speed_mps.mean(axis=1))
         dragged = -np.gradient(felt_mps, step_s) > floor.braking_mps2
         travel_m = np.where(dragged[:, None], (1.0 + floor.braking_slip) * travel_m, travel_m)

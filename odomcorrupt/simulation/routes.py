@@ -10,8 +10,6 @@ import numpy as np
 
 from odomcorrupt.errors import BagError, TopicError
 
-MAX_MPS2 = 2.5
-MAX_RADPS2 = 6.0
 REST_S = 2.0
 TYPES = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 
@@ -40,7 +38,8 @@ def obey(commands: Commands, grid_s: np.ndarray) -> np.ndarray:
     last = np.searchsorted(commands.times_s, grid_s - REST_S, side="right") - 1
     going = (last >= 0) & (grid_s - REST_S < commands.times_s[-1] + 0.1)
     wanted = np.where(going, np.stack((commands.v_mps[last], commands.omega_radps[last])), 0.0)
-    pairs = zip(wanted, (MAX_MPS2 * step_s, MAX_RADPS2 * step_s), strict=True)
+    # limits of acceleration, m/s^2 and rad/s^2
+    pairs = zip(wanted, (2.5 * step_s, 6.0 * step_s), strict=True)
     return np.column_stack([_approach(row.tolist(), change) for row, change in pairs])
 
 
@@ -88,7 +87,6 @@ def read_commands(path: str | Path) -> Commands:
     return Commands((stamps_ns - stamps_ns[0]) * 1e-9, speeds[:, 0], speeds[:, 1])
 
 
-SIDEWAYS_LIMIT_MPS2 = 0.9
 ROOM_RADIUS_M = 7.0
 
 
@@ -141,7 +139,7 @@ class _Planner:
 
     def bend(self) -> Iterator[Segment]:
         radius_m = float(np.exp(self.rng.uniform(np.log(0.4), np.log(3.0))))
-        fastest_mps = min(1.2, float(np.sqrt(SIDEWAYS_LIMIT_MPS2 * radius_m)))
+        fastest_mps = min(1.2, float(np.sqrt(0.9 * radius_m)))
         v_mps = fastest_mps * self.rng.uniform(0.3, 1.0)
         turn_rad = np.radians(self.rng.uniform(30.0, 150.0))
         yield self.to(v_mps, self.side() * v_mps / radius_m, turn_rad * radius_m / v_mps)

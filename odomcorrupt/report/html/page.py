@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from odomcorrupt.scoring.run import ScoreReport
 
 
-_HEAVY = 600_000
-"""Size of a vector figure, bytes, above which it is rasterised if that is smaller; keeps the page below 3 MB."""
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 """Content security policy: the browser may load nothing but the page itself."""
 _STYLE, SCRIPT = (
@@ -98,14 +96,11 @@ def _embedded(figure: Figure) -> str:
     """Return a figure as a data URL: vectors, or pixels if the vectors are too large."""
     kind, data = "svg+xml", rendered(figure, "svg")
     # a figure with embedded pixels would not become smaller
-    if len(data) > _HEAVY and b"data:image/png" not in data:
+    # size of a vector figure, bytes, above which it is rasterised if that is smaller; keeps the page below 3 MB
+    if len(data) > 600_000 and b"data:image/png" not in data:
         pixels = rendered(figure, "png")
         kind, data = ("png", pixels) if len(pixels) < len(data) else (kind, data)
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
-
-
-_ROWS = 1000
-"""Largest number of runs in the table; the worst ones are listed."""
 
 
 def score_html(report: ScoreReport, verdicts: Sequence[Verdict]) -> str:
@@ -149,7 +144,8 @@ def _sections(report: ScoreReport) -> str:
 
 
 def _runs(report: ScoreReport) -> str:
-    worst = sorted(report.runs, key=lambda run: -run.metrics.get("ate_m", float("inf")))[:_ROWS]
+    # largest number of runs in the table; the worst ones are listed
+    worst = sorted(report.runs, key=lambda run: -run.metrics.get("ate_m", float("inf")))[:1000]
     rows = []
     for run in worst:
         cells = [escape(cell) for cell in run_cells(run)]

@@ -75,10 +75,6 @@ if TYPE_CHECKING:
     from odomcorrupt.summary import Summary
 
 
-_MOST_PIECES = 8
-"""Number of segments that can be selected, the longest ones."""
-_POINTS = 7000
-"""Total number of points, of all segments under all models; keeps the page below 3 MB."""
 _RUNS, _RUN_POINTS, _RUN_STRETCHES = 20, 200, 8
 """Runs of a model drawn around the truth, points per run, and number of pairs of model and segment with runs."""
 
@@ -141,8 +137,10 @@ def _content(comparison: Comparison) -> dict[str, Any]:
 def _stretches(comparison: Comparison) -> list[_Stretch]:
     """Return the longest segments, in descending order, each with as many points as fit in the page."""
     pieces = comparison.evaluations[0].pieces
-    longest = sorted(range(len(pieces)), key=lambda i: -float(pieces[i].interval_metres.sum()))[:_MOST_PIECES]
-    most = max(_POINTS // (len(longest) * (1 + len(comparison.evaluations))), 50)
+    # number of segments that can be selected, the longest ones
+    longest = sorted(range(len(pieces)), key=lambda i: -float(pieces[i].interval_metres.sum()))[:8]
+    # total number of points, of all segments under all models; keeps the page below 3 MB
+    most = max(7000 // (len(longest) * (1 + len(comparison.evaluations))), 50)
     found = []
     for number in longest:
         count = len(pieces[number].problem.intervals)

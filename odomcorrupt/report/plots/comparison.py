@@ -310,9 +310,6 @@ def draw_pit(comparison: Comparison) -> Figure:
 
 _PHASES = 5
 _LENGTHS_M = (0.5, 1.0, 2.0, 5.0, 10.0)
-_FEWEST = 12
-_DARKEST_RATIO = 4.0
-"""Ratio of measured to expected squared error with the darkest colour."""
 
 
 def draw_failure_map(comparison: Comparison) -> Figure:
@@ -332,7 +329,7 @@ def draw_failure_map(comparison: Comparison) -> Figure:
 def _length(comparison: Comparison) -> float:
     """Return a path length (m) that is short relative to the drive, and long enough for errors to accumulate."""
     metres = max(float(piece.interval_metres.sum()) for piece in comparison.evaluations[0].pieces)
-    return max((length for length in _LENGTHS_M if length <= metres / _FEWEST), default=_LENGTHS_M[0])
+    return max((length for length in _LENGTHS_M if length <= metres / 12), default=_LENGTHS_M[0])
 
 
 def _panel(axes: Axes, evaluation: ModelEvaluation, length_m: float) -> LineCollection:
@@ -347,7 +344,8 @@ def _panel(axes: Axes, evaluation: ModelEvaluation, length_m: float) -> LineColl
         list(segments[linked][order]), cmap="cividis_r", linewidths=2.6, capstyle="round", rasterized=True
     )
     lines.set_array(ratio[:-1][linked][order])
-    lines.set_clim(0.0, _DARKEST_RATIO)
+    # ratio of measured to expected squared error with the darkest colour
+    lines.set_clim(0.0, 4.0)
     axes.add_collection(lines)
     axes.plot(*xy[0], "s", color=BLACK, markersize=7, zorder=4)
     several = len(evaluation.pieces) > 1
@@ -511,7 +509,6 @@ def _bar_of(candidate: Candidate, nats: float, step: Step) -> tuple[str, str]:
     return _GREY, candidate.refused or f"{nats:.0f}, others explain it better"
 
 
-_MOST_CURVES = 3
 _REGRESSORS = {
     "speed": ("speed (m/s)", 1.0),
     "sideways_speed": ("sideways speed (m/s)", 1.0),
@@ -526,7 +523,7 @@ _REGRESSORS = {
 
 def draw_unknown(unknown: Sequence[Dependence]) -> Figure:
     """Draw the dependences with the clearest curves side by side, with bands of two standard errors."""
-    shown = unknown[:_MOST_CURVES]
+    shown = unknown[:3]
     with drawing():
         figure = new_figure(11.0, 3.6)
         for axes, one in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
@@ -575,13 +572,10 @@ def _places(axes: Axes, one: Dependence, scale: float, unit: str) -> None:
     axes.figure.colorbar(dots, ax=axes, label=f"truth minus odometry ({unit})", shrink=0.85)
 
 
-_SHOWN_S = 120.0
-
-
 def draw_plan(plan: Plan) -> Figure:
     """Draw the path of a robot that follows the plan, and its commands in the first two minutes."""
     path = plan.path
-    shown = slice(0, round(_SHOWN_S / STEP_S))
+    shown = slice(0, round(120.0 / STEP_S))
     times_s = np.arange(len(plan.v_mps))[shown] * STEP_S
     with drawing():
         figure = new_figure(11.0, 3.6)

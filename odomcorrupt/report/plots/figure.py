@@ -41,7 +41,6 @@ _STYLE: dict[Any, Any] = {
 }
 
 
-_MOST_PANELS = 4
 _LONGEST = 34
 """Longest model name in a legend, characters."""
 _DPI = 150
@@ -106,7 +105,7 @@ def model_panels(
     pair_in, single_in : height of a row of two panels, and of a panel alone, inches
     more_in : height of the legend, inches
     """
-    over = max(len(models) - _MOST_PANELS, 0)
+    over = max(len(models) - 4, 0)
     shown = [models[0], *models[1 + over :]]
     columns = min(len(shown), 2)
     rows = -(-len(shown) // columns)

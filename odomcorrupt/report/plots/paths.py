@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from odomcorrupt.scoring.errors import PathErrors
     from odomcorrupt.study.validate.compare import Comparison
 
-_RUNS = 100
 _MARKS = 20
 _SHOWN_M = 100.0
 """Longest path drawn, metres: more would hide lines. Places in the sentences refer to the whole path."""
@@ -37,7 +36,7 @@ def draw_paths(comparison: Comparison) -> Figure:
             number = [one is evaluation for one in comparison.evaluations].index(True)
             try:
                 longest = max(evaluation.pieces, key=lambda piece: float(piece.interval_metres.sum()))
-                _panel(axes, replay(longest, runs=_RUNS), short_name(evaluation.name), number)
+                _panel(axes, replay(longest, runs=100), short_name(evaluation.name), number)
             except EffectError:  # a law that absorbs all motion can be removed from odometry, but not applied
                 none = "no odometry of this drive satisfies it: no runs to show"
                 axes.set_title(f"{short_name(evaluation.name)}\n{none}", fontsize=10)
