@@ -36,6 +36,7 @@ class Line(NamedTuple):
     weight : see `ALWAYS`; lines of equal weight are left out from the end
     short : text in place of one for which there is no room, "" for none
     part : name of a part of the model that is printed if there is no room for the line, "" for none
+    full : text in its place in the full report, "" for the same; a line without `text` is only there
     """
 
     label: str
@@ -44,6 +45,7 @@ class Line(NamedTuple):
     weight: int = USUAL
     short: str = ""
     part: str = ""
+    full: str = ""
 
 
 class Summary(NamedTuple):
@@ -77,11 +79,18 @@ class Summary(NamedTuple):
                 rows.append(f"{label}{part}".rstrip())
         return "\n".join(findings), "\n".join(commands)
 
+    def full(self) -> str:
+        """Return all lines but the command with their full texts, a row each."""
+        lines = [line for line in self.lines if line.tone != "command"]
+        indent = max((len(line.label) for line in lines), default=0) + 2
+        return "\n".join(f"{line.label:<{indent}}{visible(line.full or line.text)}".rstrip() for line in lines)
+
     def below(self, report: str) -> Summary:
-        """Return what ends a full report: the verdict, what has to be said first and is not in it, the next command."""
+        """Return what ends a full report: the verdict and what has to be said first, if not in it; the next command."""
         first, *others = self.lines if self.lines[0].tone != "plain" else [Line("", "")]  # a list has no verdict
-        new = (o for o in others if o.tone == "command" or (o.weight >= FIRST and o.text.split(" (")[0] not in report))
-        return Summary((first, *new), len(report))
+        said = [first, *(one for one in others if one.weight >= FIRST and one.tone != "command")]
+        new = [one for one in said if one.text.split(" (")[0] not in report]
+        return Summary((*new, *(one for one in others if one.tone == "command")), len(report))
 
     def html(self) -> str:
         """Return the summary as a table for a notebook."""
@@ -96,7 +105,7 @@ class Summary(NamedTuple):
 
     @property
     def _shown(self) -> list[Line]:
-        return [line for line in self.lines if line.text or line.tone != "command"]
+        return [line for line in self.lines if line.text or not (line.full or line.tone == "command")]
 
     @property
     def headline(self) -> str:
@@ -106,12 +115,12 @@ class Summary(NamedTuple):
 
 
 def wrapped(text: str, width: int) -> str:
-    """Return a text with its prose wrapped to this many columns; rows of tables are unchanged."""
+    """Return a text with its prose wrapped to this many columns, beside its label; rows of tables are unchanged."""
     lines: list[str] = []
     for line in text.splitlines():
-        start = line[: len(line) - len(line.lstrip())]
-        prose = textwrap.wrap(line, width, subsequent_indent=start, break_on_hyphens=False)
-        lines += [line] if "  " in line.strip() else prose or [""]
+        label = re.match(r"\S+(?: \S+)* {2,}|\s*", line)[0]  # type: ignore[index]  # it matches at least nothing
+        prose = textwrap.wrap(line, width, subsequent_indent=" " * len(label), break_on_hyphens=False)
+        lines += [line] if "  " in line[len(label) :] else prose or [""]
     return "\n".join(lines)
 
 

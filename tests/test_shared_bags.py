@@ -51,20 +51,20 @@ THROUGH = (
         Through(
             f"robot_localization/{bag}.bag",
             frozenset({f"/{robot}_velocity_controller/odom"}),
-            f"Moved: {count} messages on /{robot}_velocity_controller/odom, no transform from odom",
+            f"odometry  /{robot}_velocity_controller/odom {count}, no transform from odom",
         )
         for bag, robot, count in (("test1", "husky", 3952), ("test2", "jackal", 3060))
     ),
     Through(
         "evo/nav2_turtlebot.mcap",
         frozenset({"/odom", "/tf"}),
-        "Moved: 2639 messages on /odom, 2639 transforms odom -> base_link, computed from the poses of /odom",
+        "odometry  /odom 2639, TF odom -> base_link 2639, computed from the poses of /odom",
     ),
     *(
         Through(
             f"evo/tf_example{file}",
             frozenset({"/tf"}),
-            "Moved: 517 transforms odom -> base_footprint, computed from the poses of TF odom -> base_footprint",
+            "odometry  TF odom -> base_footprint 517, computed from the poses of TF odom -> base_footprint",
             EXAMPLE,
         )
         for file in (".bag", "", "/tf_example.db3")
@@ -73,7 +73,7 @@ THROUGH = (
         Through(
             f"foxglove_turtlesim/example{codec}.bag",
             frozenset({"/tf"}),
-            "Moved: 1344 transforms world -> turtle1, 1344 transforms world -> turtle2",
+            "odometry  TF world -> turtle1 1344, TF world -> turtle2 1344",
             ("--odom-frame", "world", "--base-frame", "turtle1"),
         )
         for codec in ("", "-lz4", "-bz2")
@@ -82,7 +82,7 @@ THROUGH = (
         Through(
             f"olin_tb4/macfirst_floor_take_2{file}",
             frozenset({"/odom", "/tf"}),
-            "Moved: 920 messages on /odom, 953 transforms odom -> base_footprint, 953 transforms odom -> base_link",
+            "odometry  /odom 920, TF odom -> base_footprint 953, TF odom -> base_link 953",
         )
         for file in ("", "/macfirst_floor_take_2_0.db3")
     ),
@@ -132,7 +132,8 @@ def test_every_bag_of_the_folder_is_tried():
 @pytest.mark.parametrize("case", THROUGH, ids=lambda case: case.path)
 def test_it_goes_through_and_what_is_not_moved_is_bit_identical(corrupt, case):
     code, said, target = corrupt(case.path, *case.args)
-    assert (code, said[: len(case.said)]) == (0, case.said)
+    assert code == 0
+    assert case.said in said
     before, after = messages(BAGS / case.path), messages(target)
     assert Counter((topic, time_ns, len(data)) for topic, time_ns, data in before) == Counter(
         (topic, time_ns, len(data)) for topic, time_ns, data in after
@@ -157,7 +158,7 @@ def test_it_is_refused_in_one_line_and_leaves_nothing(corrupt, case, tmp_path):
 def test_the_bag_that_was_never_closed_is_read_on_request(corrupt):
     code, said, target = corrupt("malformed/unindexed.bag", "--recover")
     assert code == 0, "nothing is lost: all its chunks are whole"
-    assert said.startswith("Moved: 608 messages on odom_est")
+    assert "odometry  odom_est 608" in said
     assert len([topic for topic, _, _ in messages(target) if topic == "odom_est"]) == 608
 
 

@@ -99,23 +99,14 @@ class Batch(Result):
         for i, (name, said) in enumerate(drifts):
             lines.append(Line("" if i else "drift", said + f": {name}" * several, weight=ALWAYS if several else USUAL))
         if self.failures:
-            first, reason = self.failures[0]
-            lines.append(Line("failed", f"{len(self.failures)} runs, tried twice; run {first}: {reason}", "bad"))
+            (first, reason), runs = self.failures[0], ", ".join(str(run) for run, _ in self.failures)
+            said = f"{len(self.failures)} runs, tried twice; run {first}: {reason}"
+            lines.append(Line("failed", said, "bad", full=f"{said}; all of them: {runs}"))
         for label, key in (("lost", "losses"), ("note", "remarks")):
             lines += [Line(label, said, "warning") for said in self._said(key)]
         # a sweep has a spread at each of its points; one run has none
         words = ("odomcorrupt", "spread", self.directory / names[0]) if len(self) > len(self.jobs) else ()
         return Summary((*lines, command_line(words)), MOST_LINES + len(drifts))
-
-    def details(self) -> str:
-        """Return the summary in sentences, with the numbers of the failed runs."""
-        said = f"{self.made_now} runs made now, {len(self)} in {self.directory}, seed {self.seed}."
-        if self.failures:
-            first, reason = self.failures[0]
-            names = ", ".join([*(str(run) for run, _ in self.failures[:8]), *["..."] * (len(self.failures) > 8)])
-            said += f" Not made, tried twice: {len(self.failures)} runs ({names}); run {first}: {reason}"
-        said += "".join(f" {job.directory} drifts by {drift}." for job in self.jobs if (drift := _drift(job)))
-        return " ".join([said, *(f"Lost: {loss}." for loss in self.losses), *(f"{r}." for r in self._said("remarks"))])
 
     def _values(self) -> dict[str, Any]:
         return {
@@ -159,12 +150,8 @@ class BatchCost(Result):
 
     def summary(self) -> Summary:
         """Return number of runs, space and time."""
-        lacking = self.result.bytes > self.result.free_bytes
-        return Summary((Line("NEEDS", self.details(), "bad" if lacking else "good"),))
-
-    def details(self) -> str:
-        """Return the same in sentences."""
         need, minutes = self.result, self.result.core_seconds / 60.0
+        lacking = need.bytes > need.free_bytes
         text = (
             f"{need.runs} runs to make, about {need.bytes / 1e9:.3g} GB ({need.free_bytes / 1e9:.3g} GB are free) and "
             f"{minutes:.3g} core minutes"
@@ -173,7 +160,8 @@ class BatchCost(Result):
         if self.output == "full":
             saved = 1.0 - need.overlay_bytes / need.bytes if need.bytes else 0.0
             text += f" --output overlay would write {need.overlay_bytes / 1e9:.3g} GB, {saved:.0%} less."
-        return text + " The disk cannot hold it." * (need.bytes > need.free_bytes)
+        text += " The disk cannot hold it." * lacking
+        return Summary((Line("NEEDS", text, "bad" if lacking else "good"),))
 
     def _values(self) -> dict[str, Any]:
         return asdict(self.result)
@@ -378,11 +366,8 @@ class Assembly(Result):
     def summary(self) -> Summary:
         """Return what replaces what."""
         text = f"{self.messages} messages of {self.run.name} in place of those of {self.original.name}"
-        return Summary((Line("ASSEMBLED", text, "good"), command_line(["odomcorrupt", "info", self.path])))
-
-    def details(self) -> str:
-        """Return the same with paths."""
-        return f"{self.path}: {self.messages} messages of {self.run} in place of those of {self.original}."
+        full = f"{self.path}: {self.messages} messages of {self.run} in place of those of {self.original}"
+        return Summary((Line("ASSEMBLED", text, "good", full=full), command_line(["odomcorrupt", "info", self.path])))
 
     def _values(self) -> dict[str, Any]:
         return {"output": str(self.path), "messages": self.messages, "run": str(self.run), "input": str(self.original)}
@@ -462,22 +447,18 @@ class Spread(Result):
             lines.append(Line("note", f"not predicted: the draws of {', '.join(report.random_effects)}", "warning"))
         return Summary(tuple(lines))
 
-    def details(self) -> str:
-        """Return a table of the dispersion along the drive, measured and predicted."""
-        report, degrees = self.result, math.degrees
-        about = "standard deviations about their mean, and as linearised (predicted)"
+    def _tables(self) -> str:
+        degrees = math.degrees
         lines = [
-            f"{report.directory}: {report.runs} runs; {about}",
+            "standard deviations about their mean, and as linearised (predicted)",
             "   after m   position m   predicted   heading deg   predicted    mean m   mean deg",
         ]
         lines += [
             f"{row.after_m:10.4g} {row.position_m:12.4g} {row.position_predicted_m:11.4g} "
             f"{degrees(row.heading_rad):13.4g} {degrees(row.heading_predicted_rad):11.4g} "
             f"{row.mean_m:9.3g} {degrees(row.mean_rad):10.3g}"
-            for row in report.rows
+            for row in self.result.rows
         ]
-        if report.random_effects:
-            lines.append(f"The prediction does not include the draws of {', '.join(report.random_effects)}.")
         return "\n".join(lines)
 
     def _values(self) -> dict[str, Any]:

@@ -63,45 +63,31 @@ class EffectDescription(Result):
 
     def summary(self) -> Summary:
         """Return the meaning of the effect and of its parameters, and a command that applies it to a bag."""
-        kind = self.kind
-        lines = [Line(kind.name, f"{kind.summary} ({kind.kind})")]
-        lines += [Line(p.name, f"{p.meaning}; typically {p.typical:g} {p.unit}".rstrip()) for p in parameters(kind)]
+        kind, own = self.kind, parameters(self.kind)
+        lines = [Line(kind.name, f"{kind.summary} ({kind.kind})", "good")]
+        for p in own:
+            unit = f" {p.unit}" if p.unit else ""
+            said = f"{p.meaning}; typically {p.typical:g}{unit}"
+            shape = "" if p.amplitude else f"; {p.identity:g}{unit} if not given"
+            lines.append(Line(p.name, said, full=f"{said}, from {p.low:g} to {p.high:g}{shape}"))
         lines += [Line(word, " or ".join(options)) for word, options in choices(kind).items()]
         if kind.aliased_with is not None:
             lines.append(Line("alias", f"{kind.aliased_with}: no recording of poses separates them"))
         if kind.about is not None:
-            lines += [Line("adds", kind.about.equation), Line("source", kind.about.source)]
-        return Summary((*lines, command_line(_example(kind))))
-
-    def details(self) -> str:
-        """Return everything known of the effect, and a command that applies it to a bag."""
-        kind = self.kind
-        own = parameters(kind)
-        lines = [f"{kind.name} ({kind.kind}): {kind.summary}", ""]
-        if kind.about is not None:
-            lines += [f"truth minus odometry:  {kind.about.equation}", ""]
-        lines.append("parameters")
-        for p in own:
-            unit = f" {p.unit}" if p.unit else ""
-            shape = "" if p.amplitude else f"; {p.identity:g}{unit} if not given"
-            typical = f"typically {p.typical:g}{unit}, from {p.low:g} to {p.high:g}{shape}"
-            lines.append(f"  {p.name:<12} {p.meaning}; {typical}")
-        lines += [f"  {word:<12} {' or '.join(options)}" for word, options in choices(kind).items()]
+            about, more = kind.about, {"typical": kind.about.typical, "shown by": kind.about.drive}
+            more["confused with"] = ", ".join(about.confused_with)
+            lines += [Line("adds", about.equation, full=f"{about.equation} (truth minus odometry)")]
+            lines += [Line("source", about.source), *(Line(label, "", full=text) for label, text in more.items())]
         if kind.needs_track:
             track = ", or its parameter track" * any(p.name == "track" for p in own)
-            lines.append(f"  needs the distance between the wheels: --track, or [robot] track in a model file{track}")
+            needs = f"the distance between the wheels: --track, or [robot] track in a model file{track}"
+            lines.append(Line("needs", "", full=needs))
         if kind.drives is not None:
-            lines.append(f"  for the drive types {', '.join(sorted(kind.drives))}")
+            lines.append(Line("robots", "", full=f"of the drive types {', '.join(sorted(kind.drives))}"))
         if kind.needs_sideways:
-            lines.append("  for robots that can drive sideways, on mecanum or other omnidirectional wheels")
-        if kind.about is not None:
-            lines += ["", f"typical        {kind.about.typical}", f"source         {kind.about.source}"]
-            lines += [f"confused with  {', '.join(kind.about.confused_with)}", f"shown by       {kind.about.drive}"]
-        if kind.aliased_with is not None:
-            lines.append(
-                f"alias          {kind.aliased_with}: the same motion; no recording of poses can separate them"
-            )
-        return "\n".join([*lines, "", _example(kind)])
+            lines.append(Line("robots", "", full="that drive sideways, on mecanum or other omnidirectional wheels"))
+        values = ",".join(f"{p.name}={p.typical:g}" for p in amplitudes(kind))
+        return Summary((*lines, command_line(f"odomcorrupt in.bag out.bag --effect {kind.name}:{values}")))
 
     def _values(self) -> dict[str, Any]:
         kind, names = self.kind, ("equation", "typical", "source", "confused_with", "drive")
@@ -121,12 +107,6 @@ class EffectDescription(Result):
             | {"default": p.identity, "role": "amplitude" if p.amplitude else "shape"}
             for p in parameters(self.kind)
         ]
-
-
-def _example(kind: type[Effect]) -> str:
-    """Return a command that applies an effect of typical size to a bag."""
-    values = ",".join(f"{p.name}={p.typical:g}" for p in amplitudes(kind))
-    return f"odomcorrupt in.bag out.bag --effect {kind.name}:{values}"
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -24,7 +24,6 @@ from odomcorrupt.corruption.patch import Motions, TopicTwist
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.corruption.run import Outcome, corrupt_bag
 from odomcorrupt.corruption.summary import brief, oddities
-from odomcorrupt.corruption.summary import summary as paragraph
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.model.motion_model import NOISE_FREE
@@ -90,18 +89,11 @@ class Corruption(Result):
 
     def summary(self) -> Summary:
         """Return the messages modified, model, seed, the drift at the end, and warnings."""
-        return brief(self.outcome, self.model.origin, self.target, [*self._again, self.map_account])
-
-    def details(self) -> str:
-        """Return the complete result in one paragraph."""
-        return " ".join(filter(None, (paragraph(self.outcome, self.model.origin), self.map_account, *self._again)))
-
-    @property
-    def _again(self) -> list[str]:
-        return [
+        again = [
             f"The input was corrupted before (seed {one.get('seed', '?')}, run {one.get('run', '?')}): drifts add up."
             for one in self.earlier
         ]
+        return brief(self.outcome, self.model.origin, self.target, [*again, self.map_account])
 
     def _values(self) -> dict[str, Any]:
         outcome = self.outcome
@@ -231,12 +223,6 @@ class Correction(Result):
         from odomcorrupt.correction.run import brief as brief_correction
 
         return brief_correction(self.outcome, self.target)
-
-    def details(self) -> str:
-        """Return the complete result in one paragraph."""
-        from odomcorrupt.correction.run import correction_summary
-
-        return correction_summary(self.outcome)
 
     def _values(self) -> dict[str, Any]:
         effects, run = self.outcome.effects, self.outcome.run

@@ -60,19 +60,17 @@ class Integration(Result):
     def summary(self) -> Summary:
         """Return the odometry's length, the rule, the errors, and the effect of the noise."""
         drive = self.drive
+        hertz = (len(drive) - 1) / float(drive.t_s[-1])
         whole = f"{len(drive)} twists of {drive.topic}, {drive.distance_m[-1]:.4g} m in {drive.t_s[-1]:.4g} s"
+        whole += f" ({hertz:.3g} Hz)"
         lines = [Line("INTEGRATED", whole, "good"), Line("rule", f"{self.rule}, a twist holds {_HELD[self.hold]}")]
         lines += [Line("note", note, "warning") for note in drive.notes]
         for label, sentences in (("error", self._errors), ("noise", self._spread)):
             lines += [Line("" if i else label, sentence) for i, sentence in enumerate(sentences)]
         return Summary(tuple(lines))
 
-    def details(self) -> str:
-        """Return the summary in sentences."""
-        return "\n".join(self._sentences)
-
     def _values(self) -> dict[str, Any]:
-        return {"rule": self.rule, "hold": self.hold, "sentences": self._sentences}
+        return {"rule": self.rule, "hold": self.hold, "sentences": [line.text for line in self.summary().lines]}
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the poses integrated from the twists as they are, one row per message."""
@@ -118,16 +116,6 @@ class Integration(Result):
         v, omega = self.twist_noise
         title = f"Velocities with white noise of {v:g} m/s and {omega:g} rad/s"
         return draw_runs(self.runs_xyt, error.truth_xyt, name, title)
-
-    @property
-    def _sentences(self) -> list[str]:
-        drive = self.drive
-        hertz = (len(drive) - 1) / float(drive.t_s[-1])
-        said = (
-            f"{drive.topic}: {len(drive)} twists in {drive.t_s[-1]:.4g} s ({hertz:.3g} Hz), "
-            f"{drive.distance_m[-1]:.4g} m; rule {self.rule}, each twist holds {_HELD[self.hold]}"
-        )
-        return [said, *drive.notes, *self._errors, *self._spread]
 
     @property
     def _errors(self) -> list[str]:

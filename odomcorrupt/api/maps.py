@@ -31,6 +31,7 @@ from odomcorrupt.mapping.scan_map import (
 )
 from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
 from odomcorrupt.rng import draw_seed
+from odomcorrupt.summary import Line
 from odomcorrupt.trajectories import read_drive, read_poses
 
 if TYPE_CHECKING:
@@ -83,18 +84,15 @@ class Maps(Result):
             from odomcorrupt.laser.mapping import laser_brief
 
             return laser_brief(self.matched)
-        model = model_brief(self.model.motion_model, self.model.origin.partition(":")[0])
-        return maps_brief(self.maps, self.notes, (model, f"{self.seed}, run {self.run}"))
+        model, origin = self.model.motion_model, self.model.origin
+        full = f"{model.noise.words} ({origin})" if origin else model.noise.words
+        drawn = Line("seed", f"{self.seed}, run {self.run}")
+        return maps_brief(
+            self.maps, self.notes, (drawn, Line("model", model_brief(model, origin.partition(":")[0]), full=full))
+        )
 
-    def details(self) -> str:
-        """Return noise, notes and a table of the wall thickness along the drive; by the laser, no noise and table."""
-        if self.matched is not None:
-            from odomcorrupt.laser.mapping import laser_text
-
-            return laser_text(self.matched)
-        origin = f" ({self.model.origin})" if self.model.origin else ""
-        noise = f"noise: {self.model.motion_model.noise.words}{origin}, seed {self.seed}, run {self.run}"
-        return "\n".join([noise, *self.notes, maps_table(self.maps)])
+    def _tables(self) -> str:
+        return "" if self.matched is not None else maps_table(self.maps)
 
     def _values(self) -> dict[str, Any]:
         clean, noisy = self.maps[:2]

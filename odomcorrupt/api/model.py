@@ -119,19 +119,10 @@ class Conversion(Result):
         """Return the coefficients of the other law, the drift of both, and how to use them."""
         straight, turn = drift_words(self.after)
         new, old = (f"{model_brief(MotionModel(one), '')}; {one.law.meaning}" for one in (self.after, self.before))
-        lines = [Line("CONVERTED", new, "good"), Line("from", old), Line("10 m", f"{straight} (1 sigma, both laws)")]
+        lines = [Line("CONVERTED", new, "good", full=self.after.words), Line("from", old, full=self.before.words)]
+        lines.append(Line("10 m", f"{straight} (1 sigma, both laws)"))
         lines.append(Line("360 deg", f"on the spot: {turn} (1 sigma, both laws)"))
         return Summary((*lines, command_line(f"odomcorrupt in.bag out.bag {flags_of(self.after)}")))
-
-    def details(self) -> str:
-        """Return both laws in words, their drift, and the options that select the other law."""
-        straight, turn = drift_words(self.after)
-        return f"""{self.before.words}
-makes the same drift on straight drives and on turns as
-{self.after.words}
-  10 m straight: {straight} (1 sigma, both)
-  one turn on the spot: {turn} (1 sigma, both)
-{flags_of(self.after)}"""
 
     def _values(self) -> dict[str, Any]:
         def side(noise: motion_model.Noise) -> dict[str, Any]:

@@ -72,7 +72,7 @@ class Samples(Result):
             axes = f"{about.major_m:.3g} m by {about.minor_m:.3g} m at {math.degrees(about.angle_rad) % 180.0:.3g} deg"
             lines.append(Line(name, f"{axes}, heading {heading:.3g} deg (1 sigma)"))
         lines.append(Line("motion", f"{_pose(self.move.start_xyt)} to {_pose(self.move.end_xyt)}"))
-        lines.append(Line("noise", self.noise.words))
+        lines.append(Line("noise", self.noise.words, full=self.noise.words + (f" ({self.origin})" * bool(self.origin))))
         lines += [Line("note", note, "warning") for note in (*self._squared, *self.notes)]
         return Summary(tuple(lines))
 
@@ -80,32 +80,25 @@ class Samples(Result):
     def _squared(self) -> list[str]:
         return [_ARTICLE_CODE] if self.noise.law_name == "article-code" else []
 
-    def details(self) -> str:
-        """Return motion, noise, and both covariances."""
+    def _tables(self) -> str:
+        """Return the parts of the motion with their deviations, and both covariances."""
         move, v, parts, degrees = self.move, self.variances, self.move.parts, math.degrees
         rot1, rot2, trans = (float(values[0]) for values in (parts.rot1_rad, parts.rot2_rad, parts.trans_m))
         deviation = [math.sqrt(float(values[0])) for values in (v.rot1, v.trans, v.rot2)]
         lines = [
-            f"motion: {_pose(move.start_xyt)} -> {_pose(move.end_xyt)}",
-            f"  as turn {degrees(rot1):.4g} deg, drive {trans:.4g} m, turn {degrees(rot2):.4g} deg",
-            f"noise: {self.noise.words}" + (f" ({self.origin})" * bool(self.origin)),
-            f"  with deviations {degrees(deviation[0]):.4g} deg, {deviation[1]:.4g} m, {degrees(deviation[2]):.4g} deg",
-            f"{len(self.xyt)} samples, seed {self.seed}",
-            *self._squared,
+            f"motion: turn {degrees(rot1):.4g} deg, drive {trans:.4g} m, turn {degrees(rot2):.4g} deg",
+            f"with deviations {degrees(deviation[0]):.4g} deg, {deviation[1]:.4g} m, {degrees(deviation[2]):.4g} deg",
         ]
         sets = [("linearised", samples.linearised_moments(move, v))]
         if len(self.xyt) > 1:
             sets.insert(0, ("samples", samples.sample_moments(self.xyt)))
         for name, moments in sets:
-            about = samples.ellipse(moments, 1.0)
-            axes = f"{about.major_m:.4g} m by {about.minor_m:.4g} m"
-            angle = f"{degrees(about.angle_rad) % 180.0:.3g} deg"
             lines += [
-                f"{name}: mean {_pose(moments.mean_xyt)}, 1 sigma {axes}, long axis at {angle}",
+                f"{name}: mean {_pose(moments.mean_xyt)}",
                 "  covariance of x, y (m), theta (rad):",
                 *("    " + "  ".join(f"{value: .4e}" for value in row) for row in moments.covariance),
             ]
-        return "\n".join([*lines, *self.notes])
+        return "\n".join(lines)
 
     def _values(self) -> dict[str, Any]:
         noise, linear = self.noise, samples.linearised_moments(self.move, self.variances)
@@ -243,7 +236,10 @@ class Density(Result):
         """Unit of the values."""
         return "1/(m^2 rad)" if self.reading == "pose" else "1/(m rad^2)"
 
-    def _sentences(self) -> list[str]:
+    def summary(self) -> Summary:
+        """Return the density at each pose, and its integral over all poses."""
+        meaning = "one is a density" if self.reading == "pose" else "the product is not a density over poses"
+        integral = f"integral over the grid of end poses: {self.grid.integral:.6f} ({meaning})"
         said = [
             f"at ({x:g} m, {y:g} m, {math.degrees(t):g} deg): {value:.6g} {self.unit}"
             for (x, y, t), value in zip(self.poses.tolist(), self.values.tolist(), strict=True)
@@ -252,18 +248,7 @@ class Density(Result):
             said.append(
                 f"{100.0 * self.free_part:.4g} % of the distribution is free in the map; densities are divided by that"
             )
-        meaning = "one is a density" if self.reading == "pose" else "the product is not a density over poses"
-        return [*said, f"integral over the grid of end poses: {self.grid.integral:.6f} ({meaning})"]
-
-    def summary(self) -> Summary:
-        """Return the density at each pose, and its integral over all poses."""
-        *values, integral = self._sentences()
-        lines = [Line("DENSITY", integral, "good"), *(Line("", sentence) for sentence in values)]
-        return Summary((*lines, Line("noise", self.law)))
-
-    def details(self) -> str:
-        """Return the summary, with the noise in full."""
-        return "\n".join([f"noise: {self.law}", *self._sentences()])
+        return Summary((Line("DENSITY", integral, "good"), *(Line("", one) for one in said), Line("noise", self.law)))
 
     def _values(self) -> dict[str, Any]:
         return {**picked(self, "reading", "unit", "law", integral="grid.integral"), "at": self.rows()}
@@ -370,18 +355,14 @@ class Particles(Result):
     def summary(self) -> Summary:
         """Return the spread at the end and on the way, and the model."""
         cloud, last = self.result, len(self.result.distance_m) - 1
-        between = sorted({last // 3, 2 * last // 3} - {last})
-        said = [f"{self._spread(i)} (1 sigma) after {cloud.distance_m[i]:.4g} m" for i in (last, *between)]
-        lines = [Line("SPREAD", said[0], "good"), *(Line("", one) for one in said[1:])]
-        lines.append(Line("model", model_brief(self.model.motion_model, self.model.origin.partition(":")[0])))
+        said = [f"{self._spread(i)} (1 sigma) after {d:.4g} m" for i, d in enumerate(cloud.distance_m)]
+        shown = {last // 3, 2 * last // 3}
+        lines = [Line("SPREAD", said[last], "good")]
+        lines += [Line("", said[i] if i in shown else "", full=said[i]) for i in range(last)]
+        model = model_brief(self.model.motion_model, self.model.origin.partition(":")[0])
+        origin = f" ({self.model.origin})" if self.model.origin else ""
+        lines.append(Line("model", model, full=f"{self.model.motion_model.noise.words}{origin}"))
         return Summary((*lines, Line("runs", f"{len(cloud.xyt)} of seed {cloud.seed}, over {self.odometry}")))
-
-    def details(self) -> str:
-        """Return the noise, and the spread at each distance."""
-        cloud, origin = self.result, f" ({self.model.origin})" if self.model.origin else ""
-        lines = [f"noise: {self.model.motion_model.noise.words}{origin}", f"{len(cloud.xyt)} runs, seed {cloud.seed}"]
-        lines += [f"after {d:6.2f} m: 1 sigma {self._spread(i)}" for i, d in enumerate(cloud.distance_m)]
-        return "\n".join(lines)
 
     def _spread(self, place: int) -> str:
         """Return the standard deviations at one place along the drive, in words."""

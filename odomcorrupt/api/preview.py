@@ -55,8 +55,7 @@ class Info(Result):
         """Return the odometry and its motion, the messages that would be modified, and warnings."""
         return contents_brief(dict(self.values), self.source)
 
-    def details(self) -> str:
-        """Return tables of topics and TF edges, then sentences about the odometry."""
+    def _tables(self) -> str:
         return summary_text(dict(self.values))
 
     def _values(self) -> dict[str, Any]:
@@ -160,32 +159,28 @@ class Preview(Result):
         if per_message(model.noise):
             lines += [Line("rate", sentence, "warning") for sentence in self._rate]
         lines += [Line("anomaly", sentence, "warning") for sentence in self._warnings]
-        lines.append(Line("runs", f"{outlook.runs} of seed {self.seed}, over {outlook.name}"))
-        lines.append(Line("model", model_brief(model, self.model.origin.partition(":")[0])))
-        if not per_message(model.noise) and not model.noise.coefficients.noise_free:
-            lines.append(Line("rate", "the noise does not depend on the message rate"))
+        rate = "" if outlook.rate_hz is None else f" at {outlook.rate_hz:.3g} Hz"
+        drive = f"{outlook.name}: {outlook.distance_m:.4g} m in {outlook.duration_s:.4g} s{rate}"
+        runs = f"runs {outlook.first_run} to {outlook.first_run + outlook.runs - 1} of seed {self.seed}, over {drive}"
+        lines.append(Line("runs", f"{outlook.runs} of seed {self.seed}, over {outlook.name}", full=runs))
+        origin = self.model.origin
+        lines.append(Line("model", model_brief(model, origin.partition(":")[0]), full=model_words(model, origin)))
+        if not per_message(model.noise):
+            said = "the noise does not depend on the message rate"
+            lines += [Line("rate", said, full=sentence) for sentence in self._rate]
         return Summary(tuple(lines))
 
-    def details(self) -> str:
-        """Return drive, model, a table of the drift, and whether the message rate matters."""
+    def _tables(self) -> str:
         outlook, model = self.result, self.model.motion_model
         systematic = any(effect.acts and effect.kind != "noise" for effect in model.effects)
-        rate = "" if outlook.rate_hz is None else f" at {outlook.rate_hz:.3g} Hz"
-        runs = f"runs {outlook.first_run} to {outlook.first_run + outlook.runs - 1} of seed {self.seed}"
-        lines = [
-            f"{outlook.name}: {outlook.distance_m:.4g} m in {outlook.duration_s:.4g} s{rate}",
-            f"{model_words(model, self.model.origin)}; {runs}",
-            "",
-            "    after     position   9 of 10 below       heading" + "   of it constant" * systematic,
-        ]
+        lines = ["    after     position   9 of 10 below       heading" + "   of it constant" * systematic]
         for row in outlook.rows:
             after = "the end" if row is outlook.rows[-1] else f"{row.after_m:.0f} m"
             line = f"{after:>9}   {row.position_rms_m:8.3g} m   {row.position_90_m:11.3g} m"
             line += f"   {math.degrees(row.heading_rms_rad):7.3g} deg"
             line += f"   {size_words(row.position_mean_m, row.heading_mean_rad)}" if systematic else ""
             lines.append(line)
-        said = self._rate + self._warnings
-        return "\n".join([*lines, *([""] if said else []), *said])
+        return "\n".join(lines)
 
     @property
     def _rate(self) -> list[str]:

@@ -36,9 +36,12 @@ class Result(ABC):
     def summary(self) -> Summary:
         """Return the verdict and the lines needed to understand it."""
 
-    @abstractmethod
     def details(self) -> str:
-        """Return the full text."""
+        """Return the full text: the summary unabridged, and tables if there are any."""
+        return "\n\n".join(filter(None, (self.summary().full(), self._tables())))
+
+    def _tables(self) -> str:
+        return ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values as printed by `--json`: metres, radians, seconds; see docs/json.md."""

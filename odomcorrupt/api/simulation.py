@@ -61,24 +61,15 @@ class Simulation(Result):
 
     def summary(self) -> Summary:
         """Return a description of the recording, and the path of its answer."""
-        what, robot = self._said
-        lines = [Line("RECORDED", f"{what} in {self.target or 'stdout'}", "good"), Line("robot", robot)]
-        lines.append(Line("seed", str(self.settings["seed"])))
+        what = f"{self.settings['duration_s']:g} s of /odom and /ground_truth in {self.target or 'stdout'}"
+        robot = f"heading from {self.settings['heading']}, nominal track {self.track_m} m"
+        lines = [Line("RECORDED", what, "good"), Line("robot", robot), Line("seed", str(self.settings["seed"]))]
         if self.answer_path is not None:
             lines.append(Line("answer", f"its faults are listed in {self.answer_path}"))
         if self.target is not None:
             following = ["odomcorrupt", "learn", self.target, "--track", self.track_m, "-o", "robot.toml"]
             lines.append(command_line(following))
         return Summary(tuple(lines))
-
-    def details(self) -> str:
-        """Return a description of the recording in a sentence."""
-        return f"{self.target or 'stdout'}: {', '.join(self._said)}; its faults are listed in {self.answer_path}"
-
-    @property
-    def _said(self) -> tuple[str, str]:
-        robot = f"heading from {self.settings['heading']}, nominal track {self.track_m} m"
-        return f"{self.settings['duration_s']:g} s of /odom and /ground_truth", robot
 
     def _values(self) -> dict[str, Any]:
         return {  # the answer stays in its file

@@ -90,7 +90,7 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, console: Cons
         if given["dry_run"]:
             del options["verify"], options["dask"]
             cost = estimate_batch(inputs, target, **options)
-            console.print(cost.details(), cost.details(), cost.to_dict())
+            console.show(cost)
             return 0
         try:
             done = batch(inputs, target, **options, progress=functools.partial(Rate, quiet=console.quiet))

@@ -14,12 +14,11 @@ from odomcorrupt.corruption.path import LEG_M, PathSamples, StepGrowth, noise_va
 from odomcorrupt.corruption.run import corrupt_bag, outcome_of, provenance
 from odomcorrupt.corruption.summary import (
     effect_words,
+    leg_words,
     lost_lines,
-    moved_words,
+    odometry_line,
     size_words,
     stream_oddities,
-    topic_words,
-    travel_words,
 )
 from odomcorrupt.corruption.transform import Transform
 from odomcorrupt.errors import BagError, EffectError
@@ -297,63 +296,33 @@ def brief(corrected: Corrected, target: str) -> Summary:
     )
     if taken:
         taken += f"; not {of_truth}" if of_truth else ""
-        lines = [
-            Line("CORRECTED", f"the end pose moves by {size_words(drift.end_drawn_m, drift.end_drawn_rad)}", "good"),
-            Line("taken out", taken),
-        ]
+        said = f"the end pose moves by {size_words(drift.end_drawn_m, drift.end_drawn_rad)}"
+        lines = [Line("CORRECTED", said, "good", full=said + leg_words(drift)), Line("taken out", taken)]
     else:
         lines = [Line("UNCHANGED", "the model has no effect that can be taken out: the bag was copied", "warning")]
         lines += [Line("set-up", f"{of_truth}: no part of the odometry, so not taken out")] if of_truth else []
     lines += [Line("clock", sentence, "warning") for sentence in _clock_left(corrected)]
     if corrected.unplaced:
         names = ", ".join(effect.name for effect in corrected.unplaced)
-        said = f"{names}: taken out at places and headings of the frame {corrected.run.frames.odom}; see --start"
-        lines.insert(1, Line("places", said, "warning"))
+        said = f"{names}: taken out at places and headings of the frame {corrected.run.frames.odom}"
+        origin = corrected.model.setup.origin
+        of = "that of the truth" + (f" (metres east and north of {origin})" if origin else "")
+        full = f"{said}, taken to be {of}; if it is not, give the start of this drive in it with --start X,Y,THETA"
+        lines.insert(1, Line("places", f"{said}; see --start", "warning", full=full))
     lines[1:1] = [Line("places", sentence, "warning") for sentence in _misplaced(corrected)]
     lines[1:1] = lost_lines(corrected.run)
-    lines += [
-        Line("odometry", f"{moved_words(corrected.run)} ({travel_words(corrected.run)}){topic_words(corrected.run)}")
-    ]
+    lines.append(odometry_line(corrected.run))
     lines += [Line("remains", f"{e.name}: {_WHY_NOT.get(e.name, _RANDOM)}", "warning") for e in corrected.effects.left]
     lines += [Line("remains", f"{e.name} {_AT_REST}") for e in corrected.effects.undone if e.shown_at_rest]
     lines += [Line("remains", sentence.removeprefix("What remains is ")) for sentence in _remains(corrected)]
     odd = (sentence for sentence in _oddities(corrected.run) if not sentence.startswith("Lost: "))
     lines += [Line("anomaly", sentence, "warning") for sentence in odd]
+    clocks = corrected.model.setup.clocks and not any(effect.clock for effect in corrected.effects.undone)
+    if aside := [*_aside(corrected), *["clocks"] * bool(clocks)]:
+        said = f"[setup] belongs to the recordings that were fitted and was not applied: {', '.join(aside)}"
+        lines.append(Line("set-up", "", full=f"{said}; to take one of them out, too, give it with --effect"))
     following = () if target == "-" else (command_line(["odomcorrupt", "info", target]),)
     return Summary((*lines, *following))
-
-
-def correction_summary(corrected: Corrected) -> str:
-    """Return one paragraph: effects removed, change of the odometry, effects that cannot be undone, remaining error."""
-    run, taken = corrected.run, _taken_out(corrected)
-    if taken:
-        source = f"the poses of {run.odometry}{topic_words(run)} ({travel_words(run)})"
-        parts = [f"Corrected: {moved_words(run)}, computed from {source}.", f"Taken out: {taken}.", _shift(corrected)]
-    else:
-        has = "no effect that can be undone" if corrected.effects.left else "no effect"
-        parts = [f"Nothing to correct: the model has {has}, so the bag was copied."]
-    parts += [
-        f"{effect.name} cannot be undone: {_WHY_NOT.get(effect.name, _RANDOM)}." for effect in corrected.effects.left
-    ]
-    parts += [f"{effect.name} {_AT_REST}." for effect in corrected.effects.undone if effect.shown_at_rest]
-    if corrected.unplaced:
-        names = ", ".join(effect.name for effect in corrected.unplaced)
-        origin = corrected.model.setup.origin
-        frame = "the frame of the truth" + (f" (metres east and north of {origin})" if origin else "")
-        parts.append(
-            f"{names}: depends on position or heading in {frame}, which was taken to be "
-            f"{corrected.run.frames.odom}; if it is not, give the start of this drive in it with --start X,Y,THETA."
-        )
-    parts += _remains(corrected) + _misplaced(corrected)
-    aside = _aside(corrected)
-    clocked = any(effect.clock for effect in corrected.effects.undone)
-    aside += ["clocks"] * (bool(corrected.model.setup.clocks) and not clocked)
-    if aside:
-        parts.append(
-            f"[setup] belongs to the recordings that were fitted and was not applied: {', '.join(aside)}; "
-            "to take one of them out, too, give it with --effect."
-        )
-    return " ".join(parts + _oddities(corrected.run))
 
 
 def _aside(corrected: Corrected) -> list[str]:
@@ -384,14 +353,6 @@ def _clock_left(corrected: Corrected) -> list[str]:
     why = f"time_offset {offset_s * 1e3:.3g} ms of {name} is not corrected: the truth's clock may cause it"
     side = "late" if offset_s > 0.0 else "early"
     return [f"{why}; if odometry stamps are that {side} in this bag, add --effect time_offset:offset={offset_s:.4g}"]
-
-
-def _shift(corrected: Corrected) -> str:
-    drift = corrected.run.drift
-    moved = f"That moves the end pose by {size_words(drift.end_drawn_m, drift.end_drawn_rad)}"
-    if drift.leg_drawn_m is None or drift.leg_drawn_rad is None:
-        return f"{moved}."
-    return f"{moved}, and by {size_words(drift.leg_drawn_m, drift.leg_drawn_rad)} per {LEG_M:.0f} m."
 
 
 def _remains(corrected: Corrected) -> list[str]:

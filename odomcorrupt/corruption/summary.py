@@ -1,11 +1,11 @@
-"""Text of a run's result: a few lines, or one paragraph."""
+"""Lines of a run's result, and their sentences."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 import textwrap
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from odomcorrupt.corruption.inverse import changes_nothing
 from odomcorrupt.corruption.odometry_source import ODOMETRY, last_part, localisation_words, plain, says_truth
@@ -13,7 +13,7 @@ from odomcorrupt.corruption.path import LEG_M
 from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.effects.effect import choices, parameters
 from odomcorrupt.model.presets import DEFAULT, suggested
-from odomcorrupt.summary import FIRST, FOUND, Line, Summary, command_line
+from odomcorrupt.summary import FIRST, FOUND, Line, Summary, Tone, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -46,20 +46,21 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
     remarks : further warnings, such as that the input was corrupted before
     """
     drift, is_identity = outcome.drift, changes_nothing(outcome.model) and not outcome.changes.noisy
-    if is_identity:
-        lines = [Line("UNCHANGED", "the model has no noise or effect that changes odometry", "warning")]
-    else:
+    model = model_brief(outcome.model, origin.partition(":")[0])
+    lines = [Line("UNCHANGED", "the model has no noise or effect that changes odometry", "warning")]
+    if not is_identity:
+        noise = "" if outcome.model.noise.coefficients.noise_free else " (noise: {})"
         said = f"{size_words(drift.end_drawn_m, drift.end_drawn_rad)} off after {drift.distance_m:.4g} m"
-        if not outcome.model.noise.coefficients.noise_free:
-            said += f" (noise: {_expected(drift.end_expected_m, drift.end_expected_rad)})"
-        lines = [Line("MOVED", said, "good"), Line("model", model_brief(outcome.model, origin.partition(":")[0]))]
+        said += noise.format(_expected(drift.end_expected_m, drift.end_expected_rad))
+        leg = leg_words(drift) + noise.format(_leg(drift)) * bool(leg_words(drift))
+        lines = [Line("MOVED", said, "good", full=said + leg)]
+    lines.append(Line("model", "" if is_identity else model, full=model_words(outcome.model, origin)))
     faster = [Line("faster", sentence, "warning") for sentence in _faster(drift)]
     lines[1:1] = [*lost_lines(outcome), *faster, *places_lines(outcome.model, outcome.frames.odom)]
     lines.append(Line("seed", f"{outcome.seed}, run {outcome.run}", weight=FOUND))
-    look: Literal["plain", "warning"] = "plain" if outcome.changes.edges or outcome.added else "warning"
-    lines.append(Line("odometry", _counted(outcome) + topic_words(outcome), look))
+    lines.append(odometry_line(outcome, "plain" if outcome.changes.edges or outcome.added else "warning"))
     lines += [
-        Line("also", f"{_counted(other)}: {size_words(other.drift.end_drawn_m, other.drift.end_drawn_rad)} off")
+        Line("also", f"{moved_words(other)}: {size_words(other.drift.end_drawn_m, other.drift.end_drawn_rad)} off")
         for other in outcome.others
     ]
     odd = [sentence for sentence in oddities(outcome) if not sentence.startswith("Lost: ")]
@@ -74,8 +75,9 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
     if not is_identity and not outcome.added:
         stays = localisation_words(outcome.stayed, outcome.frames, outcome.channels)
         lines += [Line("note", said, "warning", FOUND, said.partition(" and localise")[0]) for said in stays]
-    if not is_identity and per_message(outcome.model.noise):
-        lines.append(Line("rate", "the drift depends on the message rate: see --step and --law diffusion", "warning"))
+    if not is_identity:
+        said = "the drift depends on the message rate: see --step and --law diffusion"
+        lines += [Line("rate", said, "warning", full=sentence) for sentence in _rate(outcome)]
     following = () if target == "-" else (command_line(["odomcorrupt", "info", target]),)
     return Summary((*lines, *following))
 
@@ -93,7 +95,15 @@ def lost_lines(outcome: Outcome) -> list[Line]:
     _, _, first = outcome.losses[0].partition(": ")  # behind the name of the file
     more = f" (and {len(outcome.losses) - 1} more: -v shows all)" if len(outcome.losses) > 1 else ""
     # characters of what is lost that a summary shows
-    return [Line("LOST", textwrap.shorten(first, 120, placeholder=" ...") + more, "bad", FIRST)]
+    return [
+        Line(
+            "LOST",
+            textwrap.shorten(first, 120, placeholder=" ...") + more,
+            "bad",
+            FIRST,
+            full="; ".join(outcome.losses),
+        )
+    ]
 
 
 def places_lines(model: MotionModel, frame: str = "odom") -> list[Line]:
@@ -112,57 +122,33 @@ def topic_words(outcome: Outcome) -> str:
     return f" (the topic that the model was learned from; not {others})"
 
 
-def _counted(outcome: Outcome) -> str:
-    """Return the moved topics and edges with their numbers of messages."""
-    changes = outcome.changes
+def moved_words(outcome: Outcome, *, full: bool = False) -> str:
+    """Return the moved topics and edges with their numbers of messages, as text.
+
+    full : whether the edges of TF are named where none was moved: the odom frame may be wrong
+    """
+    changes, stayed = outcome.changes, sorted(outcome.stayed)
     topics = [f"{topic} {count}" for topic, count in sorted(changes.odometry.items())]
     topics += [f"{topic} consistent with it" for topic in sorted(changes.sensors)]
     topics += [f"{topic} {count} with noise" for topic, count in sorted(changes.noisy.items())]
     topics += [f"{topic} {count} scans kept" for topic, count in sorted(outcome.scans.items())]
     edges = [f"TF {edge} {count}" for edge, count in sorted(changes.edges.items())]
-    none = [] if edges or outcome.added else [f"no transform from {outcome.frames.odom}"]
+    more = f" and {len(stayed) - MOST_EDGES} more" if len(stayed) > MOST_EDGES else ""
+    seen = f" (TF has {', '.join(stayed[:MOST_EDGES])}{more})" if stayed and full else ""
+    none = [] if edges or outcome.added else [f"no transform from {outcome.frames.odom}{seen}"]
     return ", ".join([*topics, *edges, *none, *(f"{count} {what} added" for what, count in outcome.added.items())])
 
 
-def summary(outcome: Outcome, origin: str) -> str:
-    """Return one paragraph: changed topics, model, drift, and topics that are not changed."""
-    is_identity = changes_nothing(outcome.model) and not outcome.changes.noisy
-    source = f"the poses of {outcome.odometry}{topic_words(outcome)} ({travel_words(outcome)})"
-    said = f"{moved_words(outcome)}, computed from {source}"
-    parts = [
-        f"{'Nothing to change' if is_identity else 'Moved'}: {said}.",
-        f"{model_words(outcome.model, origin)}, seed {outcome.seed}, run {outcome.run}.",
-    ]
-    if not is_identity:
-        parts += [_drift(outcome.drift, noisy=not outcome.model.noise.coefficients.noise_free), *_rate(outcome)]
-    parts += [f"Also moved: {moved_words(other)} ({travel_words(other)})." for other in outcome.others]
-    parts += [*_faster(outcome.drift), *oddities(outcome)]
-    true = outcome.with_true_motion
-    if true and not is_identity:
-        parts.append(f"Unchanged, so that a filter which reads them still gets the true motion: {', '.join(true)}.")
-    if not is_identity and not outcome.added:
-        parts += [f"{said}." for said in localisation_words(outcome.stayed, outcome.frames, outcome.channels)]
-    return " ".join(parts)
+def odometry_line(outcome: Outcome, tone: Tone = "plain") -> Line:
+    """Return the line of what was moved, and in full by the poses of which odometry, with its length."""
+    topic = topic_words(outcome)
+    source = f"computed from the poses of {outcome.odometry}{topic} ({travel_words(outcome)})"
+    return Line("odometry", moved_words(outcome) + topic, tone, full=f"{moved_words(outcome, full=True)}, {source}")
 
 
 def travel_words(outcome: Outcome) -> str:
     """Return path length and duration as text."""
     return f"{outcome.drift.distance_m:.4g} m in {outcome.drift.duration_s:.4g} s"
-
-
-def moved_words(outcome: Outcome) -> str:
-    """Return the moved topics and TF edges with their numbers of messages, as text."""
-    topics = [f"{count} messages on {topic}" for topic, count in sorted(outcome.changes.odometry.items())]
-    topics += [f"{topic} to be consistent" for topic in sorted(outcome.changes.sensors)]
-    topics += [f"{count} messages on {topic} by noise" for topic, count in sorted(outcome.changes.noisy.items())]
-    topics += [f"{count} scans on {topic} kept, the others left out" for topic, count in sorted(outcome.scans.items())]
-    edges = [f"{count} transforms {edge}" for edge, count in sorted(outcome.changes.edges.items())]
-    stayed = sorted(outcome.stayed)
-    more = f" and {len(stayed) - MOST_EDGES} more" if len(stayed) > MOST_EDGES else ""
-    seen = f" (TF has {', '.join(stayed[:MOST_EDGES])}{more})" if stayed else ""  # the odom frame may be wrong
-    none = [] if edges else [f"no transform from {outcome.frames.odom}{seen}"]
-    added = [f"{count} {what} added" for what, count in outcome.added.items()]
-    return ", ".join([*topics, *edges, *([] if outcome.added and not topics else none), *added])
 
 
 def model_words(model: MotionModel, origin: str) -> str:
@@ -201,14 +187,11 @@ def effect_words(effect: Effect) -> str:
     return f"{effect.name} ({', '.join(values)})"
 
 
-def _drift(drift: Drift, *, noisy: bool) -> str:
-    end = f"at the end {size_words(drift.end_drawn_m, drift.end_drawn_rad)}"
-    if noisy:
-        end += f" (noise alone is expected to make {_expected(drift.end_expected_m, drift.end_expected_rad)})"
+def leg_words(drift: Drift) -> str:
+    """Return the drift per leg, after that at the end; "" for a drive without one."""
     if drift.leg_drawn_m is None or drift.leg_drawn_rad is None:
-        return f"Drift: {end}."
-    leg = f", per {LEG_M:.0f} m {size_words(drift.leg_drawn_m, drift.leg_drawn_rad)}"
-    return f"Drift: {end}{leg}{f' ({_leg(drift)})' if noisy else ''}."
+        return ""
+    return f"; per {LEG_M:.0f} m {size_words(drift.leg_drawn_m, drift.leg_drawn_rad)}"
 
 
 def _leg(drift: Drift) -> str:

@@ -386,7 +386,7 @@ def _visible(value: Any) -> Any:
 
 
 def summary_text(values: dict[str, Any]) -> str:
-    """Return a bag's summary as text: tables of topics and edges, then sentences."""
+    """Return tables of topics and edges, then the motion of each odometry."""
     values = _visible(values)
     by_topic = {o["topic"]: o for o in values["odometry"]}
     rows: list[tuple[str, ...]] = [("topic", "type", "messages", "Hz", "")]
@@ -405,11 +405,8 @@ def summary_text(values: dict[str, Any]) -> str:
         lines += ["", *_table(rows)]
     if len(shown) < len(values["edges"]):
         lines.append(f"and {len(values['edges']) - len(shown)} static edges that stay")
-    for one in values.get("provenance", ()):
-        lines += ["", f"Note: it was corrupted {provenance_words(one)}."]
     for o in values["odometry"]:
         lines += ["", *_about(o, source=o["topic"] == values["odometry_source"])]
-    lines += ["", *(f"Note: {remark}." for remark in values["remarks"])] if values["remarks"] else []
     return "\n".join(lines)
 
 
@@ -429,7 +426,7 @@ def _about(o: dict[str, Any], *, source: bool) -> list[str]:
     # largest difference at which odometry and TF agree, metres
     if o["tf_differs_m"] is not None and o["tf_differs_m"] > 0.01:
         lines.append(f"  TF and odometry differ by up to {o['tf_differs_m']:.3g} m")
-    return lines + [f"  {sentence}" for sentence in o["oddities"]]
+    return lines
 
 
 _COUNTS = {"restarts": "restarts of time", "swapped": "messages out of order", "jumps": "jumps of the pose"}

@@ -96,16 +96,10 @@ def laser_brief(drawn: LaserMaps) -> Summary:
     lines = [Line("MATCHED", drawn.placed, "good")]
     lines += [Line("parts", drawn.parts, "warning")] if drawn.parts else []
     walls = (f"{100.0 * s.thickness_m[-1]:.2f} cm thick, {s.name}" for s in drawn.maps)
-    lines += [Line("" if i else "walls", said) for i, said in enumerate(walls)]
+    how = " (root of the mean plane variance, Razlaw et al., ECMR 2015)"
+    lines += [Line("" if i else "walls", said, full=said + how * (not i)) for i, said in enumerate(walls)]
     lines += [Line("note", note, "warning") for note in drawn.remarks]
     return Summary(tuple(lines))
-
-
-def laser_text(drawn: LaserMaps) -> str:
-    """Return all sentences, and the wall thickness of each map."""
-    thick = ", ".join(f"{100.0 * s.thickness_m[-1]:.2f} cm {s.name}" for s in drawn.maps)
-    said = f"wall thickness (root of the mean plane variance, Razlaw et al., ECMR 2015): {thick}"
-    return "\n".join([*drawn.notes, said])
 
 
 def tum_text(trajectory: Trajectory) -> str:

@@ -276,8 +276,8 @@ def scan_maps(
     return tuple(make_scan_map(name, paths[name].xyt, view, first, travelled_m, canvas) for name, view in views.items())
 
 
-def maps_brief(maps: Sequence[ScanMap], notes: Sequence[str], drawn: tuple[str, str]) -> Summary:
-    """Return the increase in wall thickness, the distance of hits from the walls, and the noise."""
+def maps_brief(maps: Sequence[ScanMap], notes: Sequence[str], noise: Sequence[Line]) -> Summary:
+    """Return the increase in wall thickness, the distance of hits from the walls, and the lines on the noise."""
     clean, noisy = (100.0 * s.thickness_m[-1] for s in maps[:2])
     added = 100.0 * added_thickness(maps[0].thickness_m, maps[1].thickness_m)[-1]
     first, last = 100.0 * maps[1].off_surface_m[0], 100.0 * maps[1].off_surface_m[-1]
@@ -285,8 +285,7 @@ def maps_brief(maps: Sequence[ScanMap], notes: Sequence[str], drawn: tuple[str, 
     lines = [Line("THICKER", said, "warning") if noisy > clean else Line("NO THICKER", said, "good")]
     lines.append(Line("hits", f"{first:.1f} cm off the clean walls at first, {last:.1f} cm at last"))
     lines += [Line("walls", f"{100.0 * s.thickness_m[-1]:.2f} cm through the {s.name}") for s in maps[2:]]
-    lines += [Line("seed", drawn[1]), Line("model", drawn[0])]
-    lines += [Line("scans" if "rays" in note else "note", note) for note in notes]
+    lines += [*noise, *(Line("scans" if "rays" in note else "note", note) for note in notes)]
     return Summary(tuple(lines))
 
 
@@ -303,8 +302,4 @@ def maps_table(maps: Sequence[ScanMap]) -> str:
     for i, mark in enumerate(maps[0].marks_m):
         values = (*(s.thickness_m[i] for s in maps), added[i], maps[1].off_surface_m[i])
         lines.append(f"  {mark:7.2f} m  " + "".join(f"{100.0 * value:12.2f}" for value in values))
-    first, last = 100.0 * maps[1].off_surface_m[0], 100.0 * maps[1].off_surface_m[-1]
-    grown = f"{noisy[-1] / clean[-1]:.2f} times as thick; of the noise alone they would be {100.0 * added[-1]:.2f} cm"
-    hits = f"{first:.1f} cm off the clean map's walls in the first part of the drive, {last:.1f} cm in the last"
-    lines += [f"walls became {grown}", f"noisy hits are {hits} (root mean square, across the walls)"]
     return "\n".join(lines)
