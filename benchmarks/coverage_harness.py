@@ -38,8 +38,7 @@ with atheris.instrument_imports(include=INSTRUMENTED):
     from odomcorrupt.batching.manifest import read_beginning, read_records
     from odomcorrupt.corruption.run import Container, corrupt_bag
     from odomcorrupt.corruption.transform import Options
-    from odomcorrupt.inspection.scan import scan_bag
-    from odomcorrupt.inspection.summary import summarise, summary_text
+    from odomcorrupt.inspection import scan_bag, summarise, summary_text
 
 YAML, BOOK, BEGINNING = "metadata.yaml", "manifest.jsonl", "batch.json"
 RECORD = {"run": 0, "file": "run_000000.mcap", "size": 4, "crc32": 1, "seed": 7, "errors": [[1.0, 0.1, 0.2, 0.3]]}

@@ -23,8 +23,7 @@ from odomcorrupt.geometry.se2 import between, wrap
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.report.comparison import sentence
-from odomcorrupt.report.diagnosis import dependence
-from odomcorrupt.report.findings import value_text
+from odomcorrupt.report.findings import dependence, value_text
 from odomcorrupt.report.plots.figure import BLUE, TRUTH, drawing, new_figure
 from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
 from odomcorrupt.study.io import Source, read_runs

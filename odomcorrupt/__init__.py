@@ -26,7 +26,6 @@ if TYPE_CHECKING:
         list_presets,
     )
     from odomcorrupt.api.corruption import Correction, Corruption, Drift, Drifted, correct, corrupt
-    from odomcorrupt.api.export import Export, export_parameters
     from odomcorrupt.api.findings import (
         Comparison,
         Diagnosis,
@@ -41,7 +40,7 @@ if TYPE_CHECKING:
     )
     from odomcorrupt.api.integration import Integration, integrate
     from odomcorrupt.api.maps import Maps, draw_maps
-    from odomcorrupt.api.model import Conversion, Model, Noise, convert_alpha
+    from odomcorrupt.api.model import Conversion, Export, Model, Noise, convert_alpha, export_parameters
     from odomcorrupt.api.motion import Density, Particles, Samples, density, sample, sample_along
     from odomcorrupt.api.preview import Info, Preview, info, preview
     from odomcorrupt.api.recordings import Recordings, read_recordings

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import odomcorrupt
 from odomcorrupt.api.model import as_model
-from odomcorrupt.batching.engine import ALL, missing_runs, tasks_of
+from odomcorrupt.batching.engine import ALL, attempt, missing_runs, tasks_of
 from odomcorrupt.batching.job import BatchSpec, plan
 from odomcorrupt.batching.manifest import begin, fingerprint_of, read_records, write_manifest
-from odomcorrupt.batching.runner import attempt
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.scoring.errors import Alignment, PathErrors, path_errors

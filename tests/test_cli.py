@@ -299,7 +299,7 @@ def test_what_is_whole_of_a_damaged_bag_is_recovered_with_exit_code_three(corrup
     code, said, target = corrupt("--seed", "1", "--recover", source=str(broken(tmp_path, kind)), name=f"o.{kind[-4:]}")
     assert code == 3
     assert said.startswith("MOVED ")
-    assert "Lost: " in said
+    assert "LOST " in said
     assert target.exists()
     assert corrupt("--seed", "1", "--recover", name="whole.mcap")[0] == 0
 

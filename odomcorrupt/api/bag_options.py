@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 from odomcorrupt.corruption.run import Container
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.sensors.noise import read_imu
+from odomcorrupt.sensors import read_imu
 
 if TYPE_CHECKING:
     from odomcorrupt.bags.convert.message_types import Generation

@@ -15,12 +15,12 @@ from odomcorrupt.api.model import ModelLike, as_model
 from odomcorrupt.api.recordings import PathLikes, as_paths
 from odomcorrupt.api.result import Result
 from odomcorrupt.bags.pipeline import default_threads
-from odomcorrupt.batching import split_layout
 from odomcorrupt.batching.dispersion import measure
 from odomcorrupt.batching.engine import Shard, need_of, require_odometry, require_space, run_batch
 from odomcorrupt.batching.job import BatchSpec, Job, plan
 from odomcorrupt.batching.manifest import fingerprint_of, read_beginning, read_records, seed_of
 from odomcorrupt.batching.parameter_draws import fleet_model
+from odomcorrupt.batching.sinks import assemble_overlay
 from odomcorrupt.corruption.summary import places_lines
 from odomcorrupt.errors import BatchError, BatchOptionError
 from odomcorrupt.model.model_file import read_model
@@ -34,9 +34,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.batching.dispersion import SpreadReport
-    from odomcorrupt.batching.engine import Audience, Need
+    from odomcorrupt.batching.engine import Audience, Failure, Need
     from odomcorrupt.batching.job import Format, Output
-    from odomcorrupt.batching.runner import Failure
     from odomcorrupt.mapping.conditioned import MapCondition
 
 
@@ -413,7 +412,7 @@ def assemble(
             raise BatchError(f"{source}: has changed since the batch was made from it; name the original with --input")
     else:
         source = Path(fspath(original))
-    count = split_layout.assemble(overlay, source, target, split_options(options)[1])
+    count = assemble_overlay(overlay, source, target, split_options(options)[1])
     return Assembly(target, overlay, source, count)
 
 

@@ -183,7 +183,7 @@ def corrupt(
     with ExitStack() as kept:
         path, bag = None, bag_path(source)
         if condition is not None:  # a path within a map is drawn for the whole drive at once
-            from odomcorrupt.forecasting.forecast import clean_drive_of
+            from odomcorrupt.forecasting import clean_drive_of
 
             bag = temporary_copy(sys.stdin.buffer, temporary_folder(kept) / "bag", "stdin") if bag is None else bag
             drive = clean_drive_of(bag, chosen.motion_model, moved, recover=container.recover)

@@ -18,7 +18,7 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import ModelError, OdomCorruptError, RecordingError
 from odomcorrupt.extras import part_of_study
 from odomcorrupt.model.motion_model import NOISE_FREE
-from odomcorrupt.report import diagnosis as texts
+from odomcorrupt.report import findings as texts
 from odomcorrupt.report.brief import findings_brief, fit_brief, mistakes_first
 from odomcorrupt.report.comparison import comparison_brief, comparison_json, comparison_text, reproduction_sentence
 from odomcorrupt.report.findings import clock_lines, effects_with_errors, numbers_text
@@ -309,7 +309,7 @@ class Comparison(Result):
 
     def report(self) -> str:
         """Return the comparison as a self-contained HTML page with tables and figures, usable offline."""
-        from odomcorrupt.report.html.study import report_html
+        from odomcorrupt.report.html import report_html
 
         return report_html(self.result)
 
@@ -444,7 +444,7 @@ class Findings(Result):
 
     def report(self) -> str:
         """Return the findings as a self-contained HTML page with tables and figures, usable offline."""
-        from odomcorrupt.report.html.study import found_html
+        from odomcorrupt.report.html import found_html
 
         return found_html(self.result.search, self.result.sequence, self.result.advice, self.following, self.summary())
 

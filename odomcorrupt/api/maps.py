@@ -18,7 +18,7 @@ from odomcorrupt.corruption.summary import model_brief
 from odomcorrupt.errors import MapError, OdomCorruptError
 from odomcorrupt.extras import part_of_study
 from odomcorrupt.geometry.trajectory import Trajectory
-from odomcorrupt.mapping.frames import mount_at
+from odomcorrupt.mapping.messages import mount_at
 from odomcorrupt.mapping.occupancy_grid import format_map
 from odomcorrupt.mapping.scan_map import (
     WINDOW_M,
@@ -151,7 +151,7 @@ class Maps(Result):
 
     def _figure(self) -> Figure:
         """Return a figure of the maps side by side, and of thickness and distance of hits along the drive."""
-        from odomcorrupt.report.plots.maps import draw_scan_maps
+        from odomcorrupt.report.plots.samples import draw_scan_maps
 
         added = "noise alone" if self.matched is None else "odometry alone"
         return draw_scan_maps(self.maps, WINDOW_M, added)

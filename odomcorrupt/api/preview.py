@@ -19,10 +19,9 @@ from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.corruption.summary import holonomic_words, model_brief, model_words, per_message, size_words
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import OdomCorruptError, RecordingError
-from odomcorrupt.forecasting.forecast import forecast, read_clean_drive
-from odomcorrupt.inspection.scan import scan_bag
-from odomcorrupt.inspection.summary import brief as contents_brief
-from odomcorrupt.inspection.summary import summarise, summary_text
+from odomcorrupt.forecasting import forecast, read_clean_drive
+from odomcorrupt.inspection import brief as contents_brief
+from odomcorrupt.inspection import scan_bag, summarise, summary_text
 from odomcorrupt.report.plain import picked
 from odomcorrupt.rng import draw_seed
 from odomcorrupt.summary import Line, Summary
@@ -33,8 +32,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.bags.block import Block
-    from odomcorrupt.forecasting.forecast import Forecast
-    from odomcorrupt.inspection.scan import OdometryRecord
+    from odomcorrupt.forecasting import Forecast
+    from odomcorrupt.inspection import OdometryRecord
     from odomcorrupt.mapping.conditioned import MapCondition
 
 

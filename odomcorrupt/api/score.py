@@ -90,7 +90,7 @@ class Score(Result):
 
     def report(self) -> str:
         """Return the score as a self-contained HTML page with tables and figures, usable offline."""
-        from odomcorrupt.report.html.page import score_html
+        from odomcorrupt.report.html import score_html
 
         return score_html(self.result, self.verdicts)
 

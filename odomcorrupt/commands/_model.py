@@ -160,7 +160,7 @@ def choose_model(given: Mapping[str, Any]) -> Model:
 def _hint_at_percent(effects: Iterable[str]) -> None:
     """Print a hint, once a command, for a fraction that is so large that a percentage was probably meant."""
     from odomcorrupt.effects.effect import amplitudes
-    from odomcorrupt.model.effect_notation import parse_effect
+    from odomcorrupt.model.model_file import parse_effect
 
     for effect in (parse_effect(text).effect for text in effects):
         for p in amplitudes(effect):

@@ -11,8 +11,8 @@ import click
 
 if TYPE_CHECKING:
     from odomcorrupt.bags.block import Block
+    from odomcorrupt.batching.engine import Failure
     from odomcorrupt.batching.job import Task
-    from odomcorrupt.batching.runner import Failure
 
 PAUSE_S = 0.2
 """Interval between two updates of the line, seconds."""

@@ -14,7 +14,7 @@ from odomcorrupt.errors import ModelError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from odomcorrupt.api.export import Target
+    from odomcorrupt.api.model import Target
 
 _EVERY = "nothing would let amcl update at every scan"
 
@@ -61,8 +61,7 @@ def command(model: Path, *, target: Target | None, output: Path | None, console:
     -v adds comments: assumptions, and effects that the program cannot express. -o writes all of it to a file.
     Dimensions come from wheel_scale, unequal_wheels, wheelbase and steering_scale; alphas and covariances from the law.
     """
-    from odomcorrupt.api.export import export_parameters
-    from odomcorrupt.api.model import as_model
+    from odomcorrupt.api.model import as_model, export_parameters
 
     if target is None:
         raise click.UsageError("--to: says which program; give --to ros2_control, nav2, robot_localization or gazebo")

@@ -14,7 +14,7 @@ from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.reorder import Arrivals
 from odomcorrupt.corruption.se2_on_se3 import inverted, planar_poses, poses_in
 from odomcorrupt.errors import TopicError
-from odomcorrupt.sensors.consistent import SENSORS
+from odomcorrupt.sensors import SENSORS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping

@@ -26,7 +26,7 @@ from odomcorrupt.corruption.se2_on_se3 import (
     turns_about_vertical,
 )  # fmt: skip
 from odomcorrupt.geometry.se2 import rotated
-from odomcorrupt.sensors.consistent import Rewriter
+from odomcorrupt.sensors import Rewriter
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.odometry_source import Side
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.sensors.consistent import Relations
+    from odomcorrupt.sensors import Relations
 
 
 class TwistChange(NamedTuple):

@@ -35,8 +35,7 @@ from odomcorrupt.corruption.path import DriftMeter, NoisyPath
 from odomcorrupt.corruption.pose_faults import FAR_M, W_FIRST, ZERO
 from odomcorrupt.corruption.reorder import WINDOW_NS, Arrivals, TimeOrder
 from odomcorrupt.errors import TopicError
-from odomcorrupt.sensors.consistent import SENSORS, find_relations
-from odomcorrupt.sensors.noise import SensorNoise
+from odomcorrupt.sensors import SENSORS, SensorNoise, find_relations
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -50,8 +49,7 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.path import PathSource, PathWatcher
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.sensors.consistent import Relations
-    from odomcorrupt.sensors.noise import ImuNoise
+    from odomcorrupt.sensors import ImuNoise, Relations
 
 
 TOPIC = re.compile(r"[/~]?[A-Za-z_]\w*(/\w+)*", re.ASCII)

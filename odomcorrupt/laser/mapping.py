@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.geometry.se2 import between, compose
 from odomcorrupt.geometry.trajectory import Trajectory, distance_along
-from odomcorrupt.mapping.frames import mount_at
+from odomcorrupt.mapping.messages import mount_at
 from odomcorrupt.mapping.scan_map import Rays, scan_maps
 from odomcorrupt.summary import Line, Summary
 

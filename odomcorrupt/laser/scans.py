@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
-    from odomcorrupt.mapping.frames import FrameTree, Mount
-    from odomcorrupt.mapping.messages import CloudMessage
+    from odomcorrupt.mapping.messages import CloudMessage, FrameTree, Mount
 
 
 _KNOTS = 17

@@ -39,8 +39,7 @@ from odomcorrupt.corruption.path import (
 )
 from odomcorrupt.errors import MapError, ModelError, TopicError
 from odomcorrupt.geometry.se2 import Increments, compose, increments, inverse, rotated
-from odomcorrupt.mapping.frames import FrameTree
-from odomcorrupt.mapping.messages import GRID, read_grid
+from odomcorrupt.mapping.messages import GRID, FrameTree, read_grid
 from odomcorrupt.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Check, Constraint, Grid, free_space, read_map
 from odomcorrupt.rng import stream
 
@@ -50,7 +49,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.corruption.transform import Options
-    from odomcorrupt.forecasting.forecast import CleanDrive
+    from odomcorrupt.forecasting import CleanDrive
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.mapping.occupancy_grid import FreeSpace
     from odomcorrupt.model.motion_model import MotionModel

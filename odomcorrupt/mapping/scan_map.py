@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
-    from odomcorrupt.mapping.frames import Mount
+    from odomcorrupt.mapping.messages import Mount
     from odomcorrupt.mapping.occupancy_grid import Grid
     from odomcorrupt.trajectories import Drive
 

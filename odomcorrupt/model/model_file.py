@@ -1,18 +1,15 @@
-"""Reading and writing of model files: motion models as editable TOML. Schema 1 is described in docs/model-file.md.
-
-Reading executes no code and opens no other file.
-"""
+"""Model files: noise and effects of a robot as TOML, and effects written as text."""
 
 from __future__ import annotations
 
 import json
 import re
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from odomcorrupt.drive_types import DRIVE_TYPES
-from odomcorrupt.effects import effect_from_values, registry
-from odomcorrupt.effects.effect import choices, parameters
-from odomcorrupt.errors import ModelError
+from odomcorrupt.effects import effect_at, effect_from_values, effect_named, effect_of, registry
+from odomcorrupt.effects.effect import amplitudes, choices, parameters
+from odomcorrupt.errors import EffectError, ModelError
 from odomcorrupt.input_files import TOML_BYTES, parse_toml, read_input
 from odomcorrupt.model.correlation import Correlation
 from odomcorrupt.model.motion_model import MotionModel, Noise, Origin, Setup, Step, TruthNoise, parse_alpha
@@ -23,6 +20,67 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from odomcorrupt.effects.effect import Effect
+
+
+_PERCENT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*%\s*\Z")
+
+
+class WrittenEffect(NamedTuple):
+    """A parsed effect, with the values that were assumed for parameters not given.
+
+    assumed : typical sizes that were used, as in "curvature 0.005 1/m"; "" if sizes were given
+    """
+
+    effect: Effect
+    assumed: str
+
+
+def parse_effect(text: str) -> WrittenEffect:
+    """Return the effect written as NAME or NAME:key=value,key=value; NAME is in the library or is module.Class.
+
+    Values are numbers, percentages for parameters without unit (1%), or angles (5deg). If no amplitude is given, the
+    typical one is used.
+
+    Raises
+    ------
+    EffectError
+        If the name or a parameter is unknown, or a value is invalid.
+    """
+    name, _, rest = text.partition(":")
+    name = name.strip()
+    if "=" in name:
+        known, _, value = name.partition("=")
+        key = parameters(effect_named(known))[0].name
+        raise EffectError(f"effect {text}: parameters follow a colon and a name; write {known}:{key}={value}")
+    kind = effect_at(name) if "." in name else effect_named(name)
+    words = choices(kind)
+    units = {p.name: p.unit for p in parameters(kind)}
+    values: dict[str, float | str] = {}
+    for part in rest.split(",") if rest else ():
+        key, equals, value = (piece.strip() for piece in part.partition("="))
+        if not equals:
+            raise EffectError(f"effect {text}: {part!r} is not key=number; write as in wheel_scale:e=0.01")
+        values[key] = value if key in words else _value_of(text, part, value, units.get(key, ""))
+    typical = {p.name: p.typical for p in amplitudes(kind)}
+    if typical.keys().isdisjoint(values):
+        assumed = ", ".join(f"{p.name} {p.typical:g} {p.unit}".strip() for p in amplitudes(kind))
+        return WrittenEffect(effect_of(kind, {**typical, **values}), assumed)
+    return WrittenEffect(effect_of(kind, values), "")
+
+
+def _value_of(text: str, part: str, value: str, unit: str) -> float:
+    percent = _PERCENT.match(value)
+    if percent is not None:
+        if unit:
+            raise EffectError(
+                f"effect {text}: {part!r} is a share, but the parameter has the unit {unit}; write a number"
+            )
+        return float(percent[1]) / 100.0
+    try:
+        return parse_alpha(value)
+    except ModelError:
+        raise EffectError(f"effect {text}: {part!r} is not key=number; write as in wheel_scale:e=0.01") from None
+
 
 SCHEMA = 1
 _MOST_EFFECTS = 64

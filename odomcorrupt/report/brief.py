@@ -10,22 +10,23 @@ from typing import TYPE_CHECKING
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.export import WHEEL_EFFECTS, wheel_multipliers
-from odomcorrupt.report.comparison import HELD, TONES, measures_words, reproduction_sentence, size
-from odomcorrupt.report.diagnosis import alternative, contradiction, inseparable_sentence
+from odomcorrupt.report.comparison import HELD, TONES, measures_words, plainly, reproduction_sentence, size
 from odomcorrupt.report.findings import (
     SIGNIFICANT,
+    alternative,
     clock_text,
     clocks_found,
     confidence_words,
+    contradiction,
     dependences_found,
     effects_found,
     effects_with_errors,
     foremost,
+    inseparable_sentence,
     is_unexplained,
     noise_found,
     noise_text,
     numbers_text,
-    plainly,
 )
 from odomcorrupt.study.estimate.drive_type import readings_of
 from odomcorrupt.study.select.confidence import EVEN_ODDS

@@ -6,7 +6,6 @@ import math
 from math import degrees, isfinite
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.report.findings import plainly
 from odomcorrupt.report.plain import picked
 from odomcorrupt.study.validate.compare import NOT_APPLIED, agreement_of
 from odomcorrupt.study.validate.goodness_of_fit import PRACTICAL_FACTOR, size_question
@@ -242,6 +241,11 @@ def size(channel: str, value: float, *, digits: int = 2, signed: bool = False) -
     if abs(value) >= 1.0:
         return f"{_figures(value, digits + 1, signed=signed)} m"
     return f"{_figures(value * 1e3, digits, signed=signed)} mm"
+
+
+def plainly(value: float) -> str:
+    """Return a number to two digits, without an exponent: "170"."""
+    return f"{float(f'{value:.2g}'):g}"
 
 
 def _figures(value: float, digits: int, *, signed: bool) -> str:

@@ -1,25 +1,39 @@
-"""Findings of a search, prepared once for text, JSON, HTML and figures, and their numbers in words."""
+"""A fit, findings and the next drive, prepared once for text, JSON (schema 2 of docs/json.md), HTML and figures."""
 
 from __future__ import annotations
 
-from math import degrees, exp
-from typing import TYPE_CHECKING, NamedTuple
+from itertools import pairwise
+from math import degrees, exp, isfinite
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import Effect, amplitudes, choices, parameters
 from odomcorrupt.effects.ground import RegionSlip
+from odomcorrupt.report.comparison import rejection, reproduction_sentence, size, within
+from odomcorrupt.report.plain import picked
+from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.drive_type import readings_of
-from odomcorrupt.study.estimate.random_process import part_name
+from odomcorrupt.study.estimate.outliers import Event, events, single_events
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, part_name
+from odomcorrupt.study.estimate.windows import distance_windows, joint_rmse
 from odomcorrupt.study.select.confidence import Support, confidence, may_be_scale_of_truth, noise_support, support_of
+from odomcorrupt.study.validate.trajectory_error import clock_gain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 
+    from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit
+    from odomcorrupt.study.design.plan import Plan
+    from odomcorrupt.study.estimate.calibrate import Interval, RobotFit
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.returns import ReturnsFit
+    from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence
+    from odomcorrupt.study.select.heterogeneity import ParameterDifference
     from odomcorrupt.study.select.result import Learned, Step
     from odomcorrupt.study.validate.compare import ModelEvaluation
+    from odomcorrupt.study.validate.predictive_check import Reproduction
 
 
 SIGNIFICANT = 3.9
@@ -217,11 +231,6 @@ def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
 _COMMON = {"m": (1e3, "mm"), "s": (1e3, "ms"), "": (1e2, "%")}
 
 
-def plainly(value: float) -> str:
-    """Return a number to two digits, without an exponent: "170"."""
-    return f"{float(f'{value:.2g}'):g}"
-
-
 def value_text(value: float, error: float | None, unit: str) -> str:
     """Return a value with its error in common units."""
     scale, shown = _COMMON.get(unit, (1.0, unit))
@@ -293,3 +302,530 @@ def words_text(effect: Effect) -> str:
 def confidence_words(probability: float) -> str:
     """Return "confidence 0.99", rounded down, as 0.999 is not certain; or "confidence below 0.01"."""
     return "confidence below 0.01" if probability < 0.01 else f"confidence {int(100.0 * probability) / 100.0:.2f}"
+
+
+def advice_sentences(advice: Advice, instead: Mapping[str, str] | None = None) -> list[str]:
+    """Return a sentence for every ambiguity, and one per group of effects with the same reason and drive.
+
+    instead : effects with evidence of their own, each with the effect that was selected in its place
+    """
+    groups: dict[str, list[str]] = {}
+    for one in advice.untestable:
+        chosen = (instead or {}).get(one.effect)
+        why = f"not separated from {chosen}" if chosen else f"not testable here: {one.why}"
+        drive = f"drive {drive_sentence(one.plan)}" if one.plan is not None else one.hint
+        groups.setdefault("; ".join(filter(None, (why, drive))), []).append(one.effect)
+    return [*map(_choice_sentence, advice.choices), *(f"{', '.join(own)}: {why}" for why, own in groups.items())]
+
+
+def _choice_sentence(choice: Ambiguity) -> str:
+    """Return "A or B: these data do not separate them; drive X"."""
+    names = " or ".join(choice.names)
+    if choice.plan is None:
+        if choice.hint:
+            return f"{names}: identical on every drive: {choice.hint}"
+        return f"{names}: these data do not separate them, and no drive of ten minutes would"
+    why = f" ({choice.why})" if choice.why else ""
+    return (
+        f"{names}: these data do not separate them{why}; drive {drive_sentence(choice.plan)}: "
+        f"that is expected to separate them by {choice.nats:.0f} nats"
+    )
+
+
+def inseparable_sentence(advice: Advice, readings: Callable[[str], Sequence[str]]) -> str:
+    """Return "These data cannot separate A from B and C, nor D from E: drive X", of all ambiguities; "" without any.
+
+    readings : aliases of a name, which no drive separates and which are therefore not reported as open
+    """
+    against: dict[str, list[str]] = {}
+    for choice in advice.choices:
+        name, *others = choice.names
+        rivals = [other for other in others if other not in readings(name)]
+        if rivals:
+            against.setdefault(name, []).extend(rivals)
+    if not against:
+        return ""
+    pairs = [f"{name} from {' or '.join(dict.fromkeys(others))}" for name, others in against.items()]
+    resolvable = any(choice.plan is not None for choice in advice.choices if choice.names[0] in against)
+    words = "; no drive of ten minutes would"
+    if resolvable and advice.best is not None:  # the drive that resolves most ambiguities
+        minutes = advice.best.duration_s / 60.0
+        words = f": drive {advice.best.manoeuvre.sentence}, for {minutes:.0f} minutes"
+    return f"These data cannot separate {', nor '.join(pairs)}{words}"
+
+
+def drive_sentence(plan: Plan) -> str:
+    """Return a drive's manoeuvre, duration, speed and floor area."""
+    length, width = plan.floor_m
+    moving = f"up to {plan.fastest_mps:.1f} m/s on {length + 1.0:.0f} m x {width + 1.0:.0f} m"
+    if plan.fastest_mps == 0.0:
+        moving = f"up to {degrees(abs(plan.omega_radps).max()):.0f} deg/s"
+    return f"{plan.manoeuvre.sentence}, for {plan.duration_s / 60.0:.0f} minutes ({moving})"
+
+
+def limits_sentence(limits: Sequence[DetectionLimit]) -> str:
+    """Return the smallest detectable sizes in common units; "" if there are none."""
+    every = [limit.effect for limit in limits]
+    names = [one.effect if every.count(one.effect) == 1 else f"{one.effect} {one.parameter}" for one in limits]
+    sizes = ", ".join(f"{name} {limit_size(limit)}" for name, limit in zip(names, limits, strict=True))
+    return f"smallest detectable sizes: {sizes}" if limits else ""
+
+
+def limit_size(limit: DetectionLimit) -> str:
+    """Return a size with two figures in a common unit."""
+    number, _, unit = value_text(limit.size, None, limit.unit).partition(" ")
+    return f"{float(f'{float(number):.2g}'):g} {unit}".strip()
+
+
+NOTHING = "nothing is missing: no known effect explains more than chance"
+
+
+def found_text(
+    learned: Learned, advice: Advice, *, evaluated: ModelEvaluation | None = None, fit: Fit | None = None
+) -> str:
+    """Return the findings in order of evidence, undecided alternatives, and the smallest detectable sizes.
+
+    evaluated : evaluation of the final model, if available
+    fit : fit of the final model, if it is not that of the search
+    """
+    lines = clock_lines([r.name for r in learned.fit.problem.recordings], learned.clocks)
+    if learned.added:
+        lines += ["missing, in the order of evidence, each added to those before:", _sequence_text(learned)]
+    for noise in noise_found(learned):
+        probability = confidence_words(noise.confidence)
+        probability += ", or the scale of the truth varies" if noise.of_truth else ""
+        values = ", ".join(noise_text(noise.effect))
+        lines.append(f"noise: {noise.name}, {values} ({probability}): {noise.effect.summary}")
+    for unknown in foremost(dependences_found(learned, fit), 3):
+        lines += _unknown_lines(unknown)
+    lines += [_event_line(one) for one in single_events(learned.fit)]
+    like_a_clock = [name for name in learned.added if name in RIVALS]
+    if like_a_clock and learned.clocks.ambiguous_nats > 0.0:
+        lines.append(
+            f"{' and '.join(like_a_clock)} or a clock that is off: these data do not separate them, because the clock "
+            "is significant only without them; give the offset if it is known (--truth-shift), or speed up and brake "
+            "hard at two speeds, with turns on the spot between"
+        )
+    lines += [_disagreement_line(one, learned) for one in learned.disagreements]
+    lines += [contradiction(one) for one in learned.contradicted]
+    small = {name: learned.contributions[name].ten_seconds for name in learned.added if learned.is_negligible(name)}
+    moved = [
+        f"{name} moves {size('along', span.moved_m)} in 10 s, of {size('along', span.error_m)} that remains"
+        for name, span in small.items()
+    ]
+    lines += [f"negligible, though significant: {', '.join(moved)}"] if moved else []
+    if evaluated is not None and evaluated.verdict.fails:
+        lines.append(unnamed(rejection(evaluated), found=bool(lines)))
+    elif evaluated is not None and evaluated.verdict.rejected:
+        lines.append(f"the model holds in practice: {within(evaluated)}")
+    lines = lines or [NOTHING]
+    lines += [*advice_sentences(advice, selected_instead(learned)), *filter(None, [limits_sentence(advice.limits)])]
+    return "\n".join(lines)
+
+
+def selected_instead(learned: Learned) -> dict[str, str]:
+    """Return effects with evidence in a step that included another effect, each with the name of that effect."""
+    return {
+        one.name: step.added
+        for step in learned.steps
+        if step.added is not None
+        for one in step.candidates[1:]
+        if one.gain > learned.decisions.alternative_nats and one.name not in learned.added
+    }
+
+
+def _event_line(one: Event) -> str:
+    """Return time, place and size of a single event, and the option that adds it to a simulation."""
+    along, across, yaw = one.along_m, one.across_m, one.yaw_rad
+    parts = [f"{abs(along) * 1e3:.0f} mm {'back' if along > 0.0 else 'forwards'}"] if abs(along) > 1e-3 else []
+    parts += [f"{abs(across) * 1e3:.0f} mm to the {'right' if across > 0.0 else 'left'}"] if abs(across) > 1e-3 else []
+    parts += [f"{degrees(abs(yaw)):.1f} deg to the {'right' if yaw > 0.0 else 'left'}"] if abs(yaw) > 2e-3 else []
+    moved, lasts_s = ", ".join(parts), max(one.end_s - one.start_s, 1e-3)
+    push = f"along={-along:.4g},across={-across:.4g},yaw={-yaw:.4g},time={one.start_s:.4g},duration={lasts_s:.4g}"
+    x, y = one.place_xy
+    return (
+        f"once, {one.recording} from {one.start_s:.1f} to {one.end_s:.1f} s near ({x:.1f}, {y:.1f}): the robot was "
+        f"moved {moved or 'hardly'}, which is not in the odometry (a push, a lift, a bump, or a jump of the truth); "
+        f"left out of the fit. To corrupt with it: --effect push:{push}"
+    )
+
+
+def _disagreement_line(one: ParameterDifference, learned: Learned) -> str:
+    says = ", ".join(
+        f"{value_text(value, error, one.unit)} in {name}"
+        for name, value, error in zip(one.recordings, one.values, one.standard_errors, strict=True)
+    )
+    slow = [gain.effect.name for gain in learned.noise if gain.effect.name in CORRELATED_NOISE]
+    noise = f" ({slow[0]} may be caused by that)" if slow else ""
+    return (
+        f"the recordings disagree about {one.effect}: {says}. The robot changed between them{noise}: "
+        "learn from recordings of one state of the robot"
+    )
+
+
+def contradiction(one: Candidate) -> str:
+    """Return a sentence that the data contradict a physical bound, and what to check."""
+    return (
+        f"the data contradict physics: {one.name} would explain {one.score.nats:.0f} nats, but {one.refused}. Check "
+        "stamps and integration of odometry and truth, the point that the truth follows, and the signs of the axes"
+    )
+
+
+def unnamed(why: str, *, found: bool) -> str:
+    """Return the sentence on a rejected model that lacks no known effect.
+
+    found : whether the search found an effect
+    """
+    return f"no {'further ' if found else ''}known effect is missing, but the model is rejected: {why}"
+
+
+def _unknown_lines(unknown: FoundDependence) -> list[str]:
+    other = " and ".join(unknown.law.instead_of)
+    finding = f"{f'or instead of {other}' if other else 'unknown'}: {evidence_words(unknown.law)}"
+    spread = ", ".join(f"{name} {value_text(*number)}" for name, number in unknown.numbers.items())
+    shown = f"{unknown.expression}{f'  ({spread})' if spread else ''}"
+    return [finding, f"  {'fitted' if unknown.fitted else 'suggested'}: {shown}"]
+
+
+def evidence_words(unknown: Dependence) -> str:
+    """Return on what an error depends, how plainly, and whether an effect may explain it as well, as a clause."""
+    rest = "no known effect explains it"
+    if unknown.instead_of:
+        rest = f"these data do not separate that from {' and '.join(unknown.instead_of)}"
+    return f"{dependence(unknown)} ({unknown.nats:.0f} nats), and {rest}"
+
+
+def dependence(unknown: Dependence) -> str:
+    """Return the regressors that an error depends on, as a clause."""
+    regressor = ": ".join(filter(None, (unknown.regressor.replace("_", " "), unknown.place)))
+    if unknown.wavelength_m is not None:
+        return f"the {unknown.channel} error is periodic, every {unknown.wavelength_m:.3g} m driven"
+    if unknown.wheels:
+        whose = "of each wheel" if unknown.wheels == "wheels" else f"of the {unknown.wheels} wheel"
+        return f"the error {whose} depends on {regressor}"
+    if unknown.name.startswith("twist_"):
+        return f"the error of travel and turns alike depends on {regressor}"
+    per = {"rad": " per radian turned", "s": " per second"}.get(unknown.per, "")
+    return f"the {unknown.channel} error{per} depends on {regressor}"
+
+
+def alternative(unknown: Dependence, hardly: Container[str]) -> str:
+    """Return the clause of a dependence with the effects that it may replace.
+
+    hardly : names of effects that are hardly likely, and so are not named before it
+    """
+    if not unknown.instead_of:
+        return dependence(unknown)
+    others = " and ".join(unknown.instead_of)
+    if all(name in hardly for name in unknown.instead_of):
+        return f"{dependence(unknown)} (rather than {others})"
+    return f"or, instead of {others}, {dependence(unknown)}"
+
+
+def shares_text(sequence: Sequence[ModelEvaluation]) -> str:
+    """Return the reduction of the held-out error by each step, after 10 s, 10 m and 50 m; "" with one model."""
+    lines = ["held-out position error (RMS):"]
+    for before, after in pairwise(sequence):
+        parts = [_fall("10 s", before.ten_second_error_m, after.ten_second_error_m)]
+        parts += [_fall(f"{d:g} m", position_error(before, d), position_error(after, d)) for d in (10.0, 50.0)]
+        lines.append(f"  {after.name:<18}{'   '.join(part for part in parts if part)}")
+    return "\n".join(lines) if len(sequence) > 1 else ""
+
+
+def position_error(evaluation: ModelEvaluation, distance_m: float) -> float:
+    """Return the position error (m, RMS) after a path length; NaN if no segment is that long."""
+    return joint_rmse(distance_windows(piece.left, distance_m) for piece in evaluation.pieces)
+
+
+def _fall(what: str, before: float, after: float) -> str:
+    if not (isfinite(before) and isfinite(after) and before > 0.0):
+        return ""
+    return f"{what}: {size('along', before)} -> {size('along', after)} ({100.0 * (after / before - 1.0):+.0f} %)"
+
+
+def candidates_table(step: Step) -> str:
+    """Return the candidates of one step, those with most evidence first."""
+    head = f"{'effect':<21}{'estimate':<44}{'evidence':>10}{'held out':>16}{'10 s error':>20}"
+    return "\n".join([head, *map(_candidate_line, step.candidates[:8])])
+
+
+def _candidate_line(candidate: Candidate) -> str:
+    score = candidate.score
+    values = ", ".join(
+        f"{p.name} {value_text(float(v), float(e), p.unit)}" if score.separable else "-"
+        for p, v, e in zip(amplitudes(score.effect), score.estimate, score.standard_error, strict=True)
+    )
+    evidence = f"{candidate.evidence:+.1f}"
+    held = f"{score.held_out_nats:+.1f} +- {score.held_out_error:.1f}"
+    before, after = candidate.rmse
+    drift = f"{before * 1e3:.1f} -> {after * 1e3:.1f} mm" if candidate.fitted is not None else ""
+    refused = f"  ({candidate.refused})" if candidate.refused else ""
+    return f"{score.effect.name:<21}{values:<44}{evidence:>10}{held:>16}{drift:>20}{refused}"
+
+
+def _sequence_text(learned: Learned) -> str:
+    """Return the 10 s error of the fitted data after each step."""
+    lines = []
+    for one in effects_found(learned):
+        before, after = one.step.candidates[0].rmse
+        rivals = f" (= {', '.join(one.aliases)}: the same error)" if one.aliases else ""
+        rivals += f" (or {', '.join(one.rivals)}: these data do not separate them)" if one.rivals else ""
+        name = one.effect.name + words_text(one.effect)
+        lines.append(
+            f"  + {name:<21}{one.gain_nats:+8.1f} nats   "
+            f"{before * 1e3:6.1f} -> {after * 1e3:.1f} mm after 10 s   {confidence_words(one.confidence)}{rivals}"
+        )
+    return "\n".join(lines)
+
+
+def fit_text(result: RobotFit, *, clocks: bool = True) -> str:
+    """Return the result of a fit; without clocks if these are reported separately."""
+    truth = result.fit.noise.truth
+    names = [r.name for r in result.fit.problem.recordings]
+    lines = [f"law {result.fit.problem.approach.law_name}, coefficients with 95 % intervals:"]
+    lines += [_interval_line(result, interval) for interval in result.intervals]
+    lines += [
+        f"  {effect.name}{words_text(effect)}: {', '.join(numbers_text(effect, errors))}"
+        for effect, errors in effects_with_errors(result.fit)
+    ]
+    lines += clock_lines(names, result.clocks) if clocks else []
+    wander = f", wandering {truth.random_walk * 1e3:.2g} mm per sqrt(s)" if truth.random_walk else ""
+    heading = f"{degrees(truth.yaw_rad):.2g} deg" if result.fit.problem.headings else "no headings"
+    lines.append(f"the truth's own noise: {truth.xy_m * 1e3:.2g} mm, {heading}{wander}")
+    lines += _event_lines(events(result.fit))
+    lines.append(f"position error after 10 s on the fitted data: {result.ten_second_error_m * 1e3:.1f} mm")
+    return "\n".join(lines)
+
+
+_CAUSES = {"trans": "metre", "rot": "radian", "time": "second"}
+
+
+def _interval_line(result: RobotFit, interval: Interval) -> str:
+    name, value = interval.name, interval.value
+    scale, unit = (degrees(1.0), "deg") if name.startswith("rot_") else (1e3, "mm")
+    ends = f"[{interval.low:.2g}, {interval.high:.2g}]"
+    if not interval.identifiable:
+        return f"  {name:<13}{'-':<10} {ends:<22}  not identifiable from this drive"
+    human = "as the law has it"
+    if result.fit.problem.approach.law_name == "diffusion":
+        human = f"= {value * scale:.3g} {unit} after one {_CAUSES[name.partition('_')[2]]}"
+    return f"  {name:<13}{value:<10.4g} {ends:<22}  {human}"
+
+
+def _event_lines(found: Sequence[Event]) -> list[str]:
+    """Return the downweighted segments, the largest first, with the time since the recording's first odometry."""
+    total = sum(event.end_s - event.start_s for event in found)
+    lines = [f"{len(found)} stretches ({total:.1f} s) are outliers with reduced weight; the largest:"]
+    largest = sorted(found, key=lambda e: abs(e.along_m) + abs(e.yaw_rad), reverse=True)[:8]
+    lines += [
+        f"  {e.recording} {e.start_s:8.1f} to {e.end_s:.1f} s: odometry {e.along_m * 1e3:+.0f} mm ahead of the truth, "
+        f"{degrees(e.yaw_rad):+.2f} deg"
+        for e in sorted(largest, key=lambda e: (e.recording, e.start_s))
+    ]
+    return lines if found else []
+
+
+def laws_table(results: Mapping[str, RobotFit]) -> str:
+    """Return all laws side by side, the likeliest first; each coefficient costs half the logarithm of the data."""
+    best = next(iter(results.values())).information_nats
+    lines = [f"{'law':<12}{'nats behind the best':>22}{'coefficients':>14}   depends on the step"]
+    for name, result in results.items():
+        behind = best - result.information_nats
+        step = "yes" if result.fit.problem.approach.law.per_step else "no"
+        lines.append(f"{name:<12}{behind:>22.1f}{len(result.fit.components.active):>14}   {step}")
+    return "\n".join(lines)
+
+
+def learned_json(
+    learned: Learned,
+    sequence: Sequence[ModelEvaluation],
+    advice: Advice,
+    *,
+    evaluated: ModelEvaluation | None = None,
+    fit: Fit | None = None,
+) -> dict[str, Any]:
+    """Return the findings of a search as values by name, without the schema; found are clocks, effects, then noise.
+
+    sequence : models in the order of the search, cross-validated, see `sequence_comparison`
+    evaluated : evaluation of the final model, if available: the last model of the sequence lacks noise terms
+    fit : fit of the final model, if it is not that of the search
+    """
+    found = [*_clocks_found(learned)]
+    for place, one in enumerate(effects_found(learned)):
+        entry = _entry(one.effect, one.errors, one.step.alternatives, one.confidence)
+        found.append(entry | _gain(sequence[place], sequence[place + 1]) | _matters(one.effect.name, learned))
+    # parameters of random effects have no standard errors
+    found += [_entry(one.effect, (), (), one.confidence) for one in noise_found(learned)]
+    mistakes = learned.fit.problem.recordings[0].mistakes
+    missing = bool(learned.lacking or learned.noise or mistakes)
+    unknown = learned.unexplained or is_unexplained(learned, evaluated)
+    return {
+        "verdict": "unknown" if unknown else "missing" if missing else "complete",
+        "rejected": (evaluated and rejection(evaluated)) or None,
+        "recordings": [
+            picked(
+                one, "name", "notes", odometry_pulled_per_s="pulled_per_s",
+                odometry_pose_corrections="pose_corrections",
+            )
+            for one in learned.fit.problem.recordings
+        ],
+        "mistakes": [one._asdict() for one in mistakes],
+        "drive_type": {"name": learned.drive_type.name, "guessed_because": learned.drive_type.reason or None},
+        "found": found,
+        "candidates": [_candidate(c) for c in learned.rounds[0].candidates],
+        "unknown": [
+            _unknown(one) | {"negligible": learned.hardly_moves(one.law)} for one in dependences_found(learned, fit)
+        ],
+        "not_testable": [
+            {"effect": one.effect, "why": one.why, "drive": drive_sentence(one.plan) if one.plan else one.hint}
+            for one in advice.untestable
+        ],
+        "events": [
+            picked(one, "recording", "start_s", "end_s", "along_m", "across_m", "yaw_rad")
+            | dict(zip(("x_m", "y_m"), one.place_xy, strict=True))
+            for one in single_events(learned.fit)
+        ],
+        "disagreements": [
+            picked(one, "effect", "parameter", "unit", "p")
+            | {
+                "recordings": [
+                    {"name": name, "value": value, "standard_error": error}
+                    for name, value, error in zip(one.recordings, one.values, one.standard_errors, strict=True)
+                ]
+            }
+            for one in learned.disagreements
+        ],
+        "contradictions": [picked(one, effect="name", why="refused") for one in learned.contradictions],
+        "ladder": [_step(evaluation) for evaluation in sequence],
+        "choices": [
+            picked(choice, "names", "why", "hint")
+            | {
+                "drive": drive_sentence(choice.plan) if choice.plan else None,
+                "expected_nats": choice.nats if choice.plan else 0.0,
+            }
+            for choice in advice.choices
+        ],
+        "detectable": [picked(limit, "effect", "parameter", "size", "unit") for limit in advice.limits],
+        "next_drive": advice.best
+        and picked(advice.best, "duration_s", "floor_m", manoeuvre="manoeuvre.name")
+        | {"drive": drive_sentence(advice.best)},
+    }  # fmt: skip
+
+
+def reproduction_json(one: Reproduction) -> dict[str, Any]:
+    """Return the drift of a model relative to that of the recordings it was learned from."""
+    long = {"measured_rmse": "measured_m", "corrupted_rmse": "drawn_m", "corrupted_rmse_least": "least_m"}
+    return {
+        **picked(one, "holds", measured_rmse_10s="measured_m", corrupted_rmse_10s="drawn_m"),
+        "corrupted_rmse_10s_range": [one.least_m, one.most_m],
+        "long": one.long and picked(one.long, "after_s", **long),
+        "outliers": picked(one, count="outliers", duration_s="outlier_s", share="outlier_share"),
+        "sentence": reproduction_sentence(one) or None,
+    }
+
+
+def _clocks_found(learned: Learned) -> Iterable[dict[str, Any]]:
+    """Return the significant clock effects, with those of the first run representing all."""
+    kinds = registry()
+    firsts = {one.name: one for one in reversed([*clocks_found(learned.clocks)])}
+    if not firsts:
+        return
+    change = clock_gain(learned.fit.problem.recordings, learned.clocks.clocks)
+    gain = picked(change, rmse_10m="after_10m", rmse_50m="after_50m", rmse_10s="after_10s")
+    for one in reversed(firsts.values()):
+        effect = kinds[one.name](**{amplitudes(kinds[one.name])[0].name: one.value})
+        yield _entry(effect, [one.error], (), one.confidence) | {"held_out": {"nats_per_m": [None, None], **gain}}
+
+
+def _matters(name: str, learned: Learned) -> dict[str, Any]:
+    """Return whether a part of the model is negligible, and its size: lengths in metres, null if not measured."""
+    own = learned.contributions.get(name)
+    spans = () if own is None else (("10s", own.ten_seconds), ("50m", own.far))
+    return {
+        "negligible": learned.is_negligible(name),
+        "contribution": {key: span and picked(span, "moved_m", "error_m", "travelled_m") for key, span in spans}
+        or None,
+    }
+
+
+def _gain(before: ModelEvaluation, after: ModelEvaluation) -> dict[str, Any]:
+    """Return likelihood and errors before and after an addition, on held-out data."""
+    if after.judged_on == "fitted data":
+        return {"held_out": None}
+    first, last = _step(before), _step(after)
+    return {"held_out": {key: [first[key], last[key]] for key in ("nats_per_m", "rmse_10m", "rmse_50m", "rmse_10s")}}
+
+
+def _unknown(found: FoundDependence) -> dict[str, Any]:
+    law = found.law
+    return {
+        **picked(found, "expression", in_model="fitted"),
+        **picked(law, "channel", depends_on="regressor"),
+        "detail": picked(
+            law, "centres", "curve", "nats", "per", "wavelength_m", "wheels", standard_error="curve_error", p="score.p"
+        ),
+        "parameters": {
+            name: picked(number, "value", "unit", standard_error="error") for name, number in found.numbers.items()
+        },
+        "instead_of": ", ".join(law.instead_of) or None,
+    }
+
+
+def _entry(effect: Effect, errors: Sequence[float], alternatives: Sequence[str], confidence: float) -> dict[str, Any]:
+    more = {"alternatives": alternatives, "confidence": confidence, "held_out": None, "negligible": False}
+    return _effect(effect, errors) | more
+
+
+def _effect(effect: Effect, errors: Sequence[float]) -> dict[str, Any]:
+    """Return an effect with its parameters, amplitudes with standard errors first, and its word-valued parameters."""
+    known = dict(zip((p.name for p in amplitudes(effect)), errors, strict=False))
+    own = sorted(parameters(effect), key=lambda p: not p.amplitude)
+    return {
+        **picked(effect, "kind", effect="name"),
+        "parameters": {
+            p.name: {"value": getattr(effect, p.name), "standard_error": known.get(p.name), "unit": p.unit} for p in own
+        },
+        "words": picked(effect, *choices(effect)),
+    }
+
+
+def _candidate(candidate: Candidate) -> dict[str, Any]:
+    score = candidate.score
+    return {
+        **picked(score, "p", "held_out_nats", effect="effect.name"),
+        "evidence_nats": candidate.evidence,
+        "estimate": {p.name: v for p, v in zip(amplitudes(score.effect), score.estimate, strict=True)},
+        "refused": candidate.refused or None,
+    }
+
+
+def _step(evaluation: ModelEvaluation) -> dict[str, Any]:
+    return {
+        **picked(evaluation, model="name", rmse_10s="ten_second_error_m", nats_per_m="nats.per_m"),
+        "rmse_10m": position_error(evaluation, 10.0),
+        "rmse_50m": position_error(evaluation, 50.0),
+    }
+
+
+def fit_json(result: RobotFit, laws: Mapping[str, RobotFit]) -> dict[str, Any]:
+    """Return a fit as values by name, without the schema.
+
+    result : fit of a robot
+    laws : fits of all laws if all were tried, the likeliest first
+    """
+    fit = result.fit
+    pairs = zip(fit.problem.recordings, result.clocks.clocks, result.clocks.errors, strict=True)
+    best = next(iter(laws.values())).information_nats if laws else 0.0
+    return {
+        **picked(fit, law="problem.approach.law_name", log_likelihood_nats="log_likelihood"),
+        "coefficients": {i.name: picked(i, "value", "low", "high", "identifiable") for i in result.intervals},
+        "effects": [_effect(effect, errors) for effect, errors in effects_with_errors(fit)],
+        "clocks": [
+            {"recording": recording.name, **picked(clock, "offset_s", skew="rate")}
+            | dict(zip(("offset_error_s", "skew_error"), spread, strict=True))
+            for recording, clock, spread in pairs
+        ],
+        "truth_noise": picked(fit.noise.truth, "xy_m", "yaw_rad", wander="random_walk"),
+        "rmse_10s": result.ten_second_error_m,
+        "laws": {name: {"nats_behind": best - one.information_nats} for name, one in laws.items()},
+    }

@@ -15,7 +15,7 @@ from odomcorrupt.bags.open import open_reader
 from odomcorrupt.batching.sinks import read_tum
 from odomcorrupt.cli import run
 from odomcorrupt.corruption.transform import Options
-from odomcorrupt.forecasting.forecast import read_clean_drive
+from odomcorrupt.forecasting import read_clean_drive
 from odomcorrupt.geometry.se2 import wrap
 from odomcorrupt.model.motion_model import MotionModel
 from odomcorrupt.model.presets import preset_named

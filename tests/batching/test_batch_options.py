@@ -125,7 +125,7 @@ def test_damaged_bag_is_recovered_for_every_run_and_what_is_lost_is_reported(out
     assert run(words) == 1
     capsys.readouterr()
     assert run([*words, "--recover", "-v"]) == 3
-    assert "Lost: " in capsys.readouterr().err
+    assert "\nlost   " in capsys.readouterr().err
     assert run(["cut.mcap", "alone.mcap", *NOISE, "--run", "1", "--recover"]) == 3
     made = here / "runs" / "run_000001.mcap"
     if output == "overlay":
@@ -195,7 +195,7 @@ def test_a_spread_differs_from_the_prediction_by_chance_as_rarely_as_it_says(her
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_terminal_sees_runs_grow_within_a_pass(jobs, tmp_path):
     program = (
-        "import odomcorrupt.batching.runner as pulse, time; pulse.PAUSE_S = 0.0\n"
+        "import odomcorrupt.batching.engine as pulse, time; pulse.PAUSE_S = 0.0\n"
         "import sys; from odomcorrupt.cli import run; sys.exit(run(sys.argv[1:]))\n"
     )
     script = tmp_path / "slow.py"

@@ -14,8 +14,8 @@ import pytest
 from test_batch_bytes import records
 
 from odomcorrupt.bags.output import beside
+from odomcorrupt.batching import engine as making
 from odomcorrupt.batching import manifest
-from odomcorrupt.batching import runner as making
 from odomcorrupt.cli import run
 
 FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
@@ -211,7 +211,7 @@ def test_a_dry_run_foretells_the_bytes_and_makes_nothing(here, capsys):
     assert batch(200, "--dry-run") == 0
     said = capsys.readouterr().out
     assert not (here / "runs").exists()
-    assert said.startswith("200 runs to make, about ")
+    assert said.startswith("NEEDS  200 runs to make, about ")
     assert batch(4) == 0
     real = sum(path.stat().st_size for path in here.glob("runs/run_*")) / 4 * 200 / 1e9
     assert float(said.split("about ")[1].split(" GB")[0]) == pytest.approx(real, rel=0.02)

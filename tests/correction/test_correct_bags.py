@@ -185,7 +185,7 @@ def test_effects_of_places_ask_where_the_drive_began(tmp_path, capsys):
     source, effect = FIXTURES / "office.mcap", ["--effect", "slope:creep=0.02"]
     start = rows_of(source, "/odom").xyt[0]
     assert run(["correct", "-v", str(source), str(tmp_path / "silent.mcap"), *effect]) == 0
-    assert "slope: taken out at places and headings of the frame odom, taken to be that of the truth" in capsys.readouterr().err
+    assert "slope: taken out at places and headings of the frame odom, taken to be" in capsys.readouterr().err
     same, turned = ("--start", ",".join(map(str, start))), ("--start", "0,0,180deg")
     for name, option in (("same", same), ("turned", turned)):
         assert run(["correct", "-v", str(source), str(tmp_path / f"{name}.mcap"), *effect, *option]) == 0

@@ -16,7 +16,7 @@ from odomcorrupt.bags.open import open_reader
 from odomcorrupt.cli import cli, run
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.errors import EffectError
-from odomcorrupt.inspection.scan import scan_bag
+from odomcorrupt.inspection import scan_bag
 
 
 @pytest.fixture
@@ -89,7 +89,7 @@ def test_a_page_tells_everything(name):
 
 
 def test_the_example_of_a_page_can_be_typed():
-    from odomcorrupt.model.effect_notation import parse_effect
+    from odomcorrupt.model.model_file import parse_effect
 
     for name in registry():
         example = page(name).splitlines()[-1].split()[-1]
@@ -98,7 +98,7 @@ def test_the_example_of_a_page_can_be_typed():
 
 
 def test_a_word_can_be_typed():
-    from odomcorrupt.model.effect_notation import parse_effect
+    from odomcorrupt.model.model_file import parse_effect
 
     assert parse_effect("gauss_markov:sigma=0.1,channel=yaw").effect.channel == "yaw"
 

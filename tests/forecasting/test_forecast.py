@@ -16,7 +16,7 @@ from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.corruption.transform import Options, Transform
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import TopicError
-from odomcorrupt.forecasting.forecast import CleanDrive, forecast, read_clean_drive
+from odomcorrupt.forecasting import CleanDrive, forecast, read_clean_drive
 from odomcorrupt.model.motion_model import MotionModel
 from odomcorrupt.model.presets import preset_named
 

@@ -11,8 +11,7 @@ from odomcorrupt.bags.block import Channel
 from odomcorrupt.cli import run
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import compose, inverse
-from odomcorrupt.inspection.scan import CovarianceCheck, scan_bag
-from odomcorrupt.inspection.summary import summarise, summary_text
+from odomcorrupt.inspection import CovarianceCheck, scan_bag, summarise, summary_text
 
 DRIVE = office(20.0, 20.0)
 STATIC = Channel(6, "/tf_static", TF.msgtype, "cdr")

@@ -5,8 +5,7 @@ import pytest
 from packed import ROS1, ROS2, grid, scan
 
 from odomcorrupt.errors import BagError, MapError, RecordingError, TopicError
-from odomcorrupt.mapping.frames import FrameTree, _matrix
-from odomcorrupt.mapping.messages import read_grid, read_scan
+from odomcorrupt.mapping.messages import FrameTree, _matrix, read_grid, read_scan
 from odomcorrupt.mapping.occupancy_grid import (
     FREE,
     OCCUPIED,

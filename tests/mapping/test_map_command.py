@@ -7,7 +7,7 @@ import pytest
 from odomcorrupt.cli import run
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.geometry.trajectory import Trajectory
-from odomcorrupt.mapping.frames import mount_at
+from odomcorrupt.mapping.messages import mount_at
 from odomcorrupt.mapping.occupancy_grid import OCCUPIED, read_map
 from odomcorrupt.mapping.scan_map import place, read_rays, slow_rays, wall_thickness
 from odomcorrupt.model.motion_model import MotionModel

@@ -10,8 +10,7 @@ from packed import grid, scan
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import BagError, MapError, RecordingError, TopicError
 from odomcorrupt.mapping.conditioned import read_map_from_odom, read_odom_frame, read_recorded_map
-from odomcorrupt.mapping.frames import mount_at
-from odomcorrupt.mapping.messages import read_grid, read_scan
+from odomcorrupt.mapping.messages import mount_at, read_grid, read_scan
 from odomcorrupt.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, read_map
 from odomcorrupt.mapping.scan_map import read_rays, slow_rays
 from odomcorrupt.trajectories import Drive

@@ -12,7 +12,7 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.model_file import format_model
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.report.html.study import report_html
+from odomcorrupt.report.html import report_html
 from odomcorrupt.simulation import simulate, write_mcap
 from odomcorrupt.study.io.recording import Recording
 from odomcorrupt.study.pipeline import diagnose_model

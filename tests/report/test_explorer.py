@@ -9,8 +9,7 @@ import pytest
 from matplotlib.image import imread
 from scipy.stats import chi2
 
-from odomcorrupt.report.html.page import prose
-from odomcorrupt.report.html.study import report_html
+from odomcorrupt.report.html import prose, report_html
 from odomcorrupt.report.plots.comparison import draw_errors, rms_interval
 from odomcorrupt.report.plots.paths import draw_paths
 from odomcorrupt.study.validate.compare import compare

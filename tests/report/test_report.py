@@ -18,7 +18,7 @@ from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.report.comparison import MOST, comparison_brief, evaluation_sentence, sentence
 from odomcorrupt.report.findings import noise_text
-from odomcorrupt.report.html.study import report_html
+from odomcorrupt.report.html import report_html
 from odomcorrupt.report.plain import finite
 from odomcorrupt.report.plots.comparison import PICTURES
 from odomcorrupt.report.plots.figure import rendered

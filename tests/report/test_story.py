@@ -14,11 +14,11 @@ from test_report import parsed_page, shown
 from odomcorrupt.cli import run
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.expression import user_effect
-from odomcorrupt.report import diagnosis as texts
+from odomcorrupt.report import findings as texts
 from odomcorrupt.report.brief import _contact_words, _found_lines, _mounting_words, findings_brief
 from odomcorrupt.report.comparison import comparison_text, rejection, within
 from odomcorrupt.report.findings import dependences_found, effects_found, foremost, is_unexplained
-from odomcorrupt.report.html.study import found_html
+from odomcorrupt.report.html import found_html
 from odomcorrupt.report.plain import finite
 from odomcorrupt.report.plots.comparison import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.figure import rendered
@@ -533,7 +533,7 @@ def test_learn_writes_model_page_picture_and_drive(found, case, sequence, fitted
     module = "odomcorrupt.study.pipeline"
     monkeypatch.setattr(f"{module}.compare", lambda _runs, models, **_named: asked.append(models) or sequence)
     monkeypatch.setattr("odomcorrupt.api.findings.compare_models", lambda _runs, _models, **_clocks: sequence)
-    monkeypatch.setattr("odomcorrupt.report.html.study.found_html", lambda *_found: _found[3])
+    monkeypatch.setattr("odomcorrupt.report.html.found_html", lambda *_found: _found[3])
     monkeypatch.chdir(tmp_path)
     words = ["learn", "-v", str(case.bag), "--track", str(case.recording.track_m)]
     files = {"-o": "robot.toml", "--report": "all.html", "--plot": "fall.svg", "--drive": "next.mcap"}

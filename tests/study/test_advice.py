@@ -12,7 +12,7 @@ from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
-from odomcorrupt.report.diagnosis import advice_sentences
+from odomcorrupt.report.findings import advice_sentences
 from odomcorrupt.simulation import Commands, read_commands, simulate
 from odomcorrupt.study.design.advise import advise
 from odomcorrupt.study.design.ambiguities import open_ambiguities

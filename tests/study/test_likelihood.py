@@ -17,7 +17,7 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.motion_model import MotionModel, Noise, TruthNoise
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
-from odomcorrupt.report.diagnosis import fit_text
+from odomcorrupt.report.findings import fit_text
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.calibrate import coefficient_intervals, fit_correlation, fit_robot
 from odomcorrupt.study.estimate.config import Approach, choose_approach

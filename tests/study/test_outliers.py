@@ -17,7 +17,7 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.comparison import reproduction_sentence
-from odomcorrupt.report.diagnosis import reproduction_json
+from odomcorrupt.report.findings import reproduction_json
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.config import Approach, choose_approach

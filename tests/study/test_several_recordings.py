@@ -16,7 +16,7 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.comparison import comparison_text
-from odomcorrupt.report.diagnosis import found_text
+from odomcorrupt.report.findings import found_text
 from odomcorrupt.simulation import Segment, simulate, write_mcap
 from odomcorrupt.study.design.advise import advise
 from odomcorrupt.study.estimate.calibrate import fit_robot

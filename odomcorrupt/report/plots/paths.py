@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from odomcorrupt.forecasting.forecast import Forecast
+    from odomcorrupt.forecasting import Forecast
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.scoring.errors import PathErrors
     from odomcorrupt.study.validate.compare import Comparison
