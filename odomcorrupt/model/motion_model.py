@@ -195,11 +195,6 @@ class MotionModel:
         """Model without noise and effects, of the odometry that this one was learned from."""
         return replace(NOISE_FREE, source=self.source)
 
-    @property
-    def is_identity(self) -> bool:
-        """Whether the model changes nothing."""
-        return self.noise.coefficients.noise_free and not self.effects
-
 
 NOISE_FREE = MotionModel(Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)))
 """Model without noise and effects."""

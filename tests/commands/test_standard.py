@@ -1,19 +1,28 @@
-"""Options that every command has, and defaults from a file."""
+"""Options of every command, and what commands print by default."""
 
 import io
 import json
 import re
+import shlex
+import shutil
+from dataclasses import asdict
 from pathlib import Path
 
 import click
+import numpy as np
 import pytest
+from ruamel.yaml import YAML
 
+from odomcorrupt.api.model import Model
 from odomcorrupt.cli import cli, run
 from odomcorrupt.commands._options import PICTURE
 from odomcorrupt.commands._standard import _colours
+from odomcorrupt.effects import registry
+from odomcorrupt.model.model_file import parse_model
+from odomcorrupt.model.presets import PRESETS, suggested
 
 ROOT = Path(__file__).parent.parent.parent
-OFFICE = str(ROOT / "fixtures" / "office.mcap")
+OFFICE = str(Path(__file__).parents[2] / "fixtures" / "office.mcap")
 COMMANDS = cli.list_commands(click.Context(cli))
 
 
@@ -169,3 +178,183 @@ def test_a_step_may_be_a_distance_alone(tmp_path, capsys):
     assert "once per 0.25m,0.2rad" in capsys.readouterr().err
     assert run([OFFICE, str(tmp_path / "b.mcap"), *numbers, "--step", "0.1rad"]) == 0
     assert "once per 0.25m,0.1rad" in capsys.readouterr().err
+
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+NOISE = ["--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "1"]
+MAP = ["map", OFFICE, "--resolution", "0.2", *NOISE]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Return a directory with the paths of a few runs."""
+    path = tmp_path_factory.mktemp("batch") / "runs"
+    assert run(["batch", OFFICE, str(path), "--runs", "4", "--output", "trajectories", "-q", *NOISE]) == 0
+    return str(path)
+
+
+def lines_of(capsys, words):
+    assert run(words) == 0
+    return capsys.readouterr().out.splitlines()
+
+
+def require_brief(lines, label, most=8):
+    assert lines[0].startswith(label)
+    assert len(lines) <= most + 1
+    assert not any("1 more line" in line for line in lines)
+    assert max(map(len, lines)) <= 80
+    assert any(line.startswith("next") for line in lines)
+    assert lines[-1].startswith(("next", " "))
+
+
+@pytest.mark.parametrize("name", registry())
+def test_an_effect_is_explained_in_eight_lines(name, capsys):
+    require_brief(lines_of(capsys, ["effects", name]), name)
+
+
+@pytest.mark.parametrize(
+    ("words", "label"),
+    [(["presets"], "PRESETS"),
+    (["effects"], "SYSTEMATIC"),
+    (["integrate", OFFICE], "INTEGRATED"),
+    (["integrate", OFFICE, "--twist-noise", "0.2", "0.04", "--runs", "3", "--seed", "1"], "INTEGRATED"),
+    (MAP, "THICKER"),
+    (["preview", OFFICE, "--runs", "2", "--seed", "1"], "DRIFT")],
+)  # fmt: skip
+def test_a_result_has_eight_lines_all_of_it_nothing_or_values(words, label, capsys):
+    # a list of names leaves none out
+    require_brief(lines_of(capsys, words), label, most=13 if words == ["effects"] else 8)
+    full = lines_of(capsys, [*words, "-v"])
+    # more, and not something else: the verdict and the next command, which lists of names have not
+    assert len(words) == 1 or (
+        any(row.startswith(label) for row in full) and any(row.startswith("next") for row in full)
+    )
+    assert lines_of(capsys, [*words, "-q"]) == []
+    assert json.loads("\n".join(lines_of(capsys, [*words, "--json"])))["schema"] == 2
+
+
+def test_a_spread_begins_with_whether_it_is_the_predicted_one(runs, capsys):
+    lines = lines_of(capsys, ["spread", runs])
+    assert lines[0].startswith(("AS PREDICTED", "WIDER", "NARROWER"))
+    require_brief(lines, "")
+    assert "4 runs" in lines[0]
+    assert any(row.split()[:1] == ["after"] for row in lines_of(capsys, ["spread", runs, "-v"]))
+
+
+def test_the_table_of_a_map_fits_a_hundred_columns(capsys):
+    table = [line for line in lines_of(capsys, [*MAP, "-v"]) if " m  " in line and line[:2] == "  "]
+    assert len(table) >= 3
+    assert max(map(len, table)) <= 100
+
+
+@pytest.mark.parametrize("target", ["nav2", "robot_localization", "ros2_control"])
+def test_parameters_stand_without_their_derivation_unless_it_is_asked_for(target, tmp_path, capsys):
+    model = tmp_path / "robot.toml"
+    model.write_text("\n".join(lines_of(capsys, ["presets", "article"])) + "\n[[effect]]\nname='side_slip'\nk=0.1\n")
+    brief, full = (lines_of(capsys, ["export", str(model), "--to", target, *more]) for more in ([], ["-v"]))
+    assert max(map(len, brief + full)) <= 80
+    assert len(brief) <= 8 < len(full)
+    assert YAML().load("\n".join(brief)) == YAML().load("\n".join(full))
+    assert brief[0] == "# not expressed: side_slip (-v says why)"
+
+
+@pytest.mark.parametrize(
+    ("typed", "last"),
+    [("info in.mcap", "noisy.mcap"),
+    ("batch in.mcap runs --runs 2 --preset typical --output trajectories --seed 1", "preview run_000000.mcap"),
+    ("batch in.mcap runs --runs 2 --seed 1", "info runs/run_000000.mcap"),
+    ("sample -n 50 --seed 2", "density -n 50 --seed 2 --plot density.png"),
+    ("integrate in.mcap --twist-noise 0.2 0.04 --seed 1 --runs 3", "--plot errors.png"),
+    ("learn mystery.mcap -o robot.toml", "export robot.toml --to ros2_control"),
+    ("diagnose mystery.mcap", "sim.bag noisy.bag --model robot.toml"),
+    ("batch in.mcap runs --runs 2 --seed 1; score runs --estimate /odom --align origin", "--report page.html"),
+    ("map in.mcap --resolution 0.2 --seed 1", "-o map.png"),
+    ("effects wheelbase; convert-alpha 0.2 0.1 0.2 0.2 --from quadratic --step 0.25m --to diffusion", "e=0.015")],
+)  # fmt: skip
+def test_each_suggested_command_runs_and_those_that_it_suggests(typed, last, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name in ("in.mcap", "in.bag", "sim.bag"):
+        shutil.copy(FIXTURES / f"office{Path(name).suffix}", name)
+    shutil.copy(FIXTURES / "mystery.mcap", ".")
+    todo, done = typed.split("; "), {}
+    for line in todo:
+        words = shlex.split(line)
+        kind = (words[0], *(option in words for option in ("--plot", "-o", "--report")))
+        if kind not in done:
+            done[kind] = line
+            assert run(words) == 0, done
+            _, _, said = f"{''.join(capsys.readouterr())}\nnext ".replace("\\\n", "").partition("\nnext ")
+            following = [" ".join(row.split()) for row in said.splitlines() if "odomcorrupt " in row]
+            todo += [row.removeprefix("odomcorrupt ") for row in following]
+    assert any(line.endswith(last) for line in done.values()), done
+
+
+def test_the_list_has_law_numbers_and_source_of_each(capsys):
+    assert run(["presets", "-v"]) == 0
+    text = capsys.readouterr().out
+    for preset in PRESETS.values():
+        entry = text.split(f"{preset.name}\n", 1)[1].split("\n\n", 1)[0]
+        assert f"law {preset.noise.law_name}:" in entry
+        assert f"rot_trans {preset.noise.coefficients.rot_trans:.4g}" in entry
+        assert all(f"{name} " in entry and f" +- {range_:.2g}" in entry for name, range_ in preset.spread.items())
+        assert preset.source in entry
+    assert run(["presets", "--json"]) == 0
+    assert [p["name"] for p in json.loads(capsys.readouterr().out)["presets"]] == list(PRESETS)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_preset_is_printed_as_a_model_file_of_the_same_model(name, capsys, tmp_path):
+    assert run(["presets", name]) == 0
+    file = tmp_path / "robot.toml"
+    file.write_text(capsys.readouterr().out)
+    read, preset = parse_model(file.read_text()), PRESETS[name]
+    assert (read.noise.law_name, read.track_m) == (preset.noise.law_name, preset.track_m)
+    assert read.effects == preset.model.effects
+    assert read.standard_errors == pytest.approx(dict(preset.spread), rel=1e-2)
+    assert asdict(read.noise.coefficients) == pytest.approx(asdict(preset.noise.coefficients), rel=1e-8)
+    assert read.source["from"] == preset.source
+    assert run([OFFICE, str(tmp_path / "out.mcap"), "-v", "--seed", "1", "--model", str(file)]) == 0
+    assert f"(of {file})" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", [name for name, preset in PRESETS.items() if preset.spread])
+def test_a_batch_draws_a_robot_within_the_range_of_a_preset(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = ["--runs", "12", "--seed", "2", "--output", "trajectories"]
+    assert run(["batch", OFFICE, "runs", "--preset", name, *words]) == 0
+    records = [json.loads(line) for line in Path("runs/manifest.jsonl").read_text().splitlines()]
+    preset = PRESETS[name]
+    for key, deviation in preset.spread.items():
+        mean = 0.0 if "." in key else getattr(preset.noise.coefficients, key)
+        drawn = [(record["drawn"][key] - mean) / deviation for record in records]
+        assert len(set(drawn)) == 12
+        assert 0.4 < np.std(drawn) < 1.8
+    # a file printed by the command has the same ranges
+    Path("robot.toml").write_text(Model.preset(name).toml())
+    assert run(["batch", OFFICE, "again", "--model", "robot.toml", *words]) == 0
+    assert Path("again/run_000003.tum").read_bytes() == Path("runs/run_000003.tum").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [(["/odom", "/scan", "/tf"], ""),
+    (["/sensor_state", "turtlebot3_msgs/msg/SensorState"], "turtlebot3-burger"),
+    (["/hazard_detection", "irobot_create_msgs/msg/HazardDetectionVector"], "turtlebot4"),
+    (["/husky_velocity_controller/odom"], "husky"),
+    (["/rosbot_base_controller/odom"], "rosbot"),
+    (["base_link -> ir_intensity_left"], "turtlebot4"),
+    (["ackermann_msgs/msg/AckermannDriveStamped"], "ackermann"),
+    (["/husky_velocity_controller/odom", "/jackal_velocity_controller/odom"], "")],
+)  # fmt: skip
+def test_topics_types_and_frames_give_a_robot_away(names, found):
+    assert suggested(names) == found
+
+
+def test_info_and_a_run_without_noise_options_suggest_the_robot(tmp_path, capsys):
+    bag, still = tmp_path / "husky.mcap", ["--alpha", "0", "0", "0", "0"]
+    assert run([OFFICE, str(bag), "-q", *still, "--rename", "/odom=/husky_velocity_controller/odom"]) == 0
+    assert run(["info", str(bag)]) == 0
+    assert "robot     looks like a husky: --preset husky" in capsys.readouterr().out
+    for words, said in (([], True), (["--preset", "husky"], False)):
+        assert run([str(bag), str(tmp_path / f"{said}.mcap"), "--seed", "1", *words]) == 0
+        assert ("looks like a husky: --preset husky" in capsys.readouterr().err) is said

@@ -1,4 +1,4 @@
-"""Correction is the inverse of corruption: effect by effect, across jumps of the pose, and for clocks."""
+"""Corrections of arrays: effects undone, biases read at rest, and steps of a filter."""
 
 from dataclasses import replace
 
@@ -6,15 +6,19 @@ import numpy as np
 import pytest
 
 from odomcorrupt.correction.run import CorrectedPath, corrected_samples
-from odomcorrupt.correction.undo import ClockInverse, true_stamps, undo_effects
+from odomcorrupt.correction.undo import ClockInverse, pose_corrections, true_stamps, undo_effects
 from odomcorrupt.corruption.covariance import pose_covariance
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.effects.expression import user_effect
+from odomcorrupt.effects.gains import WheelScale
+from odomcorrupt.effects.heading_sensors import GyroBias
+from odomcorrupt.effects.random_processes import GyroBiasWalk
 from odomcorrupt.errors import BagError
-from odomcorrupt.geometry.se2 import Increments, accumulate, compose, increments, inverse
-from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.geometry.se2 import Increments, accumulate, compose, increments, inverse, wrap
+from odomcorrupt.model.model_file import format_model, parse_model
+from odomcorrupt.model.motion_model import MotionModel, Noise, Setup
 from odomcorrupt.model.noise_laws import Coefficients
 
 SILENT = Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0))
@@ -161,3 +165,140 @@ def test_another_odometry_in_the_second_pass_is_refused():
     assert len(path.feed(stamps_ns[:10], clean[:10])) == 10
     with pytest.raises(BagError, match="changed while"):
         path.feed(stamps_ns[11:], clean[11:])
+
+
+HZ = 50.0
+LEG_S = 20.0
+"""A leg is driven for all but its last 3 s, in which the robot stands."""
+
+
+def rests(*, rests=True, slow_turn=False):
+    """Return times (n,) and twists (n - 1, 2) of arcs with rests between them."""
+    t_s = np.arange(round(600.0 * HZ) + 1) / HZ
+    phase, leg = t_s[:-1] % LEG_S, (t_s[:-1] // LEG_S).astype(int)
+    moves = (phase < LEG_S - 3.0) | (not rests)
+    v = np.where(moves, 0.5, 0.0)
+    omega = np.where(moves, 0.3 * np.cos(leg), 0.0)
+    if slow_turn:
+        omega = np.where(~moves & (leg == 14), 0.03, omega)
+    return t_s, np.column_stack((v, omega))
+
+
+def path(t_s, twist):
+    steps = twist * np.diff(t_s)[:, None]
+    return accumulate(np.zeros(3), Increments(steps[:, 0].copy(), np.zeros(len(steps)), steps[:, 1].copy()))
+
+
+def walked(t_s, density, tau, seed=4):
+    """Return a bias (n - 1,) that walks from .004 rad/s, with white noise of a gyro."""
+    rng = np.random.default_rng(seed)
+    keep = np.exp(-1.0 / HZ / tau) if tau else 1.0
+    kick = density * np.sqrt(0.5 * tau * (1.0 - keep**2) if tau else 1.0 / HZ)
+    bias = [0.004]
+    for draw in rng.standard_normal(len(t_s) - 2):
+        bias.append(keep * bias[-1] + kick * draw)
+    return np.array(bias) + 1e-4 * np.sqrt(HZ) * rng.standard_normal(len(bias))
+
+
+def heading_errors(effects, t_s, twist, bias):
+    """Return the largest error of heading (rad) of the odometry, and after correction."""
+    true = path(t_s, twist)
+    odometry = path(t_s, twist + np.column_stack((np.zeros_like(bias), bias)))
+    error = undo_effects(effects, t_s, odometry, 0.4).error_xyt
+    return np.abs(odometry - true)[:, 2].max(), np.abs(odometry + error - true)[:, 2].max()
+
+
+@pytest.mark.parametrize("tau", [0.0, 200.0])
+def test_rests_show_the_bias(tau):
+    t_s, twist = rests()
+    walk = GyroBiasWalk(density=1e-4, tau=tau)
+    before, after = heading_errors([walk], t_s, twist, walked(t_s, walk.density, tau))
+    assert after < 0.05 * before
+
+
+def test_a_constant_bias_in_the_model_is_removed_once():
+    t_s, twist = rests()
+    walk = GyroBiasWalk(density=1e-4)
+    bias = walked(t_s, walk.density, 0.0)
+    _, alone = heading_errors([walk], t_s, twist, bias)
+    _, both = heading_errors([walk, GyroBias(bias=0.004)], t_s, twist, bias)
+    assert both == pytest.approx(alone, rel=0.05)
+
+
+def test_a_slow_turn_on_the_spot_is_no_bias():
+    t_s, twist = rests(slow_turn=True)
+    walk = GyroBiasWalk(density=1e-4)
+    _, after = heading_errors([walk], t_s, twist, walked(t_s, walk.density, 0.0))
+    assert after < 0.02  # it turns by 0.09
+
+
+@pytest.mark.parametrize(("effects", "rests"), [([GyroBiasWalk(density=1e-4)], False), ([WheelScale(e=0.0)], True)])
+def test_nothing_is_removed_without_rests_or_without_the_effect(effects, rests):
+    t_s, twist = rests(rests=rests)
+    before, after = heading_errors(effects, t_s, twist, walked(t_s, 1e-4, 0.0))
+    assert after == before
+
+
+def test_wheels_that_show_no_bias_at_rest_are_not_corrected():
+    t_s, twist = rests()
+    bias = np.where(twist[:, 0] == 0.0, 0.0, walked(t_s, 1e-4, 0.0))
+    before, after = heading_errors([GyroBiasWalk(density=1e-4)], t_s, twist, bias)
+    assert after == pytest.approx(before, rel=1e-9)
+
+
+STEPPED = MotionModel(SILENT, setup=Setup(pose_corrections=True))
+
+
+def stepped(xyt, every=50, scatter=(0.006, 0.006, 0.002)):
+    """Return poses (n, 3) with a step added at every so many of them, and the rows of the steps."""
+    at = np.arange(every, len(xyt) - 1, every)
+    steps = increments(xyt)
+    for column, sigma in zip((steps.ds_m, steps.dl_m, steps.dtheta_rad), scatter, strict=True):
+        column[at - 1] += np.random.default_rng(3).choice([-1.0, 1.0], len(at)) * sigma
+    return accumulate(xyt[0], steps), at
+
+
+@pytest.mark.parametrize("sideways", [False, True])
+def test_free_odometry_has_no_steps(sideways):
+    stamps_ns, xyt = drive(sideways=sideways)
+    found = pose_corrections(stamps_ns * 1e-9, xyt)
+    assert found.steps == 0
+    assert not found.error_xyt.any()
+
+
+@pytest.mark.parametrize("sideways", [False, True])
+def test_odometry_between_steps_is_found_again(sideways):
+    stamps_ns, xyt = drive(sideways=sideways)
+    measured, at = stepped(xyt)
+    measured[:, 2] = wrap(measured[:, 2])  # as quaternions give it
+    found = pose_corrections(stamps_ns * 1e-9, measured)
+    assert found.steps == len(at)
+    left = measured + found.error_xyt - xyt
+    left[:, 2] = wrap(left[:, 2])
+    assert np.abs(left).max() < 1e-3
+    assert np.abs(measured - xyt)[:, :2].max() > 0.02
+
+
+def test_a_reset_of_the_pose_stays():
+    stamps_ns, xyt = drive()
+    xyt[1000:, :2] += [3.0, -4.0]
+    assert pose_corrections(stamps_ns * 1e-9, xyt).steps == 0
+
+
+def test_a_model_of_what_lies_between_steps_takes_them_out_with_its_effects():
+    stamps_ns, xyt = drive()
+    measured, _ = stepped(xyt)
+    model = replace(STEPPED, effects=(effect_from_values("wheel_scale", {"e": 0.02}),), track_m=0.4)
+    first_ns = int(stamps_ns[0])
+
+    def corrected(chosen, poses):
+        return poses + corrected_samples(chosen, stamps_ns, poses, first_ns=first_ns).error_xyt
+
+    free = corrected(replace(model, setup=Setup()), xyt)
+    assert corrected(model, measured) == pytest.approx(free, abs=1e-3)
+    assert np.abs(corrected(replace(model, setup=Setup()), measured) - free).max() > 0.02
+
+
+def test_model_files_say_so():
+    assert parse_model(format_model(STEPPED)).setup.pose_corrections
+    assert "pose_corrections" not in format_model(replace(STEPPED, setup=Setup()))

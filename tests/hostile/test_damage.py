@@ -3,6 +3,7 @@
 import contextlib
 import io
 import os
+import random
 import resource
 import shutil
 import signal
@@ -18,6 +19,7 @@ import numpy as np
 import pytest
 import zstandard
 from bagged import rows_of
+from crash import rewrites
 from mutations import mcap_records
 
 from odomcorrupt.bags.messages import gather, locate, scatter
@@ -277,3 +279,57 @@ def test_recovery_tells_what_it_lost_and_exits_with_3(kind, place, bags, tmp_pat
 def test_what_cannot_be_recovered_is_not_advised_to_recover(data, tmp_path):
     source, target = laid(tmp_path, data)
     assert "--recover" not in refused(source, target, "--recover")
+
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+OFFICE = FIXTURES / "office.mcap"
+
+
+def limited(*words, limit, most, stdin=subprocess.DEVNULL):
+    """Return exit code and stderr of a command under a resource limit, which would cut cached bytecode short."""
+    done = subprocess.run(
+        [sys.executable, "-B", "-m", "odomcorrupt", *map(str, words)],
+        stdin=stdin, capture_output=True, text=True, check=False, timeout=40,
+        preexec_fn=lambda: resource.setrlimit(limit, (most, most)),
+    )  # fmt: skip
+    return done.returncode, done.stderr
+
+
+@pytest.mark.parametrize("most", [12, 14, 16, 18])
+def test_a_batch_with_few_descriptors_ends_and_says_why(most, tmp_path):
+    words = ["batch", OFFICE, tmp_path / "runs", "--runs", "3", "--jobs", "2", "--seed", "1", "-q"]
+    code, said = limited(*words, limit=resource.RLIMIT_NOFILE, most=most)
+    if code:
+        assert code == 1
+        assert said.startswith("odomcorrupt: ")
+        assert "Too many open files" in said
+        assert said.count("\n") == 1
+    else:
+        assert said == ""
+
+
+@pytest.mark.parametrize("how", ["pipe recovered", "pipe learned", "cut database"])
+def test_a_disk_that_is_full_is_named_as_such(how, tmp_path):
+    cut = tmp_path / "cut.db3"
+    shutil.copyfile(FIXTURES / "office_ros2" / "office_ros2.db3", cut)
+    with cut.open("r+b") as stream:
+        stream.truncate(cut.stat().st_size - 100)
+    words = {
+        "pipe recovered": ["-", tmp_path / "out.mcap", "--odom", "/odom", "--recover"],
+        "pipe learned": ["learn", "-"],
+        "cut database": ["info", cut, "--recover"],
+    }[how]
+    with OFFICE.open("rb") as stdin:
+        code, said = limited(*words, limit=resource.RLIMIT_FSIZE, most=100_000, stdin=stdin)
+    assert code == 1
+    assert said.count("\n") == 1
+    assert "cannot be " in said
+    assert "damaged" not in said
+    assert "--help" not in said
+    assert not list(tmp_path.glob("*out*"))
+
+
+@pytest.mark.slow
+def test_killed_at_any_moment_nothing_half_stands_under_a_name(tmp_path):
+    said = rewrites(tmp_path, 8, random.Random(2))  # noqa: S311 - moments, no secrets
+    assert said.startswith("8 ")

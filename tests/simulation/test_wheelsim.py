@@ -1,4 +1,4 @@
-"""The robot at wheel level, and its routes."""
+"""The simulator of wheels, and the errors that its causes make."""
 
 import dataclasses
 
@@ -21,7 +21,7 @@ from simulated_manoeuvres import (
 )
 
 import rosmessages
-from odomcorrupt.errors import BagError, TopicError
+from odomcorrupt.errors import BagError, EffectError, TopicError
 from odomcorrupt.simulation import (
     CAUSES,
     OUTSIDE,
@@ -29,12 +29,14 @@ from odomcorrupt.simulation import (
     TRACKERS,
     Commands,
     Segment,
+    Tracker,
     read_commands,
     simulate,
     simulate_without,
     write_mcap,
 )
-from odomcorrupt.simulation.faults import draw_parameters
+from odomcorrupt.simulation.faults import draw_causes, draw_parameters
+from odomcorrupt.simulation.robot import build_robot, stream
 from odomcorrupt.simulation.run import STORE
 
 EVERY = {**CAUSES, **OUTSIDE}
@@ -319,3 +321,296 @@ def test_bag_without_commands_says_what_it_has(tmp_path):
     (tmp_path / "no.mcap").write_bytes(b"no bag")
     with pytest.raises(BagError):
         read_commands(tmp_path / "no.mcap")
+
+
+SPIN_RIGHT = (REST, Segment(0.0, -0.8, 19.0), Segment(0.0, 0.0, 5.0))
+FASTER = (REST, Segment(1.0, 0.0, 19.0), Segment(0.0, 0.0, 5.0))
+BACK = (REST, Segment(-0.5, 0.0, 19.0), Segment(0.0, 0.0, 5.0))
+CRUISE = slice(500, 900)
+
+
+GAINS = [
+    ("wheel_scale", {"e": 0.01}, STRAIGHT, 1.01),
+    ("wheelbase", {"e": 0.02}, SPIN_LEFT, 1 / 1.02),
+    ("gyro_scale", {"e": 0.02}, SPIN_LEFT, 1 / 1.02),
+    ("turn_asymmetry", {"k": 0.02}, SPIN_LEFT, 1.02),
+    ("turn_asymmetry", {"k": 0.02}, SPIN_RIGHT, 0.98),
+    ("turn_scrub", {"k": 0.05}, SPIN_LEFT, 1 / (1 + 0.05 * 0.8)),
+    *(("speed_scale", {"k": 0.02}, route, 1 + 0.02 * v) for route, v in ((STRAIGHT, 0.5), (FASTER, 1.0), (BACK, 0.5))),
+    *(("overspeed_slip", {"slip": 0.05, "speed": v}, STRAIGHT, ratio) for v, ratio in ((0.4, 0.95), (0.6, 1.0))),
+    # tyres that warm up, 14 s after the start on the average
+    ("scale_drift", {"rate": 1e-3}, STRAIGHT, pytest.approx(1 + 1e-3 * 14.0, abs=3e-4)),
+]
+
+
+@pytest.mark.parametrize(("cause", "parameters", "route", "gain"), GAINS)
+def test_the_truth_goes_or_turns_more_than_the_odometry_by_a_gain(cause, parameters, route, gain):
+    odom, truth = (xyt[CRUISE] for xyt in both(silent(cause, parameters, route)))
+    along = way_m(odom) > 0.1
+    ratio = way_m(truth) / way_m(odom) if along else np.ptp(truth[:, 2]) / np.ptp(odom[:, 2])
+    assert ratio == (pytest.approx(gain, abs=1e-6) if isinstance(gain, float) else gain)
+
+
+def start(seed=5):
+    """Where a drive of this seed begins in the truth frame: place as x + iy, and heading."""
+    x, y, heading = silent(None, None, (REST,), duration_s=10.0, seed=seed).truth_xyt[0]
+    return x + 1j * y, heading
+
+
+def test_rotation_centre_behind_swings_the_base_as_a_lever_arm_would():
+    odom, truth = both(silent("icr_shift", {"x": 0.05}, SPIN_LEFT))
+    assert np.abs(truth[:, 0] + 1j * truth[:, 1] - 0.05 * (np.exp(1j * odom[:, 2]) - 1)).max() < 1e-4
+
+
+def test_gyro_bias_walks_with_the_root_of_time_even_at_rest():
+    ends = []
+    for seed in range(40):
+        run = silent("gyro_bias_walk", {"density": 1e-3}, (REST,), seed=seed, duration_s=20.0)
+        rate = np.diff(np.unwrap(run.odom_xyt[:, 2])) / np.diff(run.odom_stamps_ns) * 1e9
+        ends.append(rate[-1])
+        assert np.ptp(run.truth_xyt[:, 2]) < 1e-12
+    assert np.std(ends) == pytest.approx(1e-3 * np.sqrt(20.0), rel=0.3)
+
+
+@pytest.mark.parametrize(("route", "sign"), [(STRAIGHT, 1), (BACK, -1)])
+def test_traction_loses_way_while_speeding_up_and_gives_it_back_while_braking(route, sign):
+    odom, truth = both(silent("accel_slip", {"k": 0.04}, route))
+    behind = sign * (odom[:, 0] - truth[:, 0])
+    assert behind[700] == pytest.approx(0.04 * 0.5 * 0.5**2, rel=0.05)
+    assert abs(behind[-1]) < 0.06 * behind[700]  # what is left is of second order
+
+
+def test_patch_takes_its_part_of_the_way_rolled_in_it():
+    place, heading = start()
+    centre = place + 4.0 * np.exp(1j * heading)
+    patch = {"slip": 0.1, "x": centre.real, "y": centre.imag, "radius": 1.5}
+    odom, truth = both(silent("region_slip", patch, STRAIGHT))
+    assert odom[-1, 0] - truth[-1, 0] == pytest.approx(0.1 / 0.9 * 3.0, abs=0.002)
+    assert abs(truth[-1, 2]) < 1e-9
+
+
+@pytest.mark.parametrize(("route", "side"), [(STRAIGHT, 1), (BACK, 1)])
+def test_slope_pulls_downhill_per_metre_driven_either_way(route, side):
+    _, heading = start()
+    odom, truth = both(silent("slope", {"creep": 0.02, "direction": heading + 0.5 * np.pi}, route))
+    assert truth[-1, 1] == pytest.approx(side * 0.02 * way_m(odom), rel=1e-3)
+    assert truth[-1, 0] == pytest.approx(odom[-1, 0], abs=1e-3)
+
+
+def test_gear_play_is_lost_at_each_reversal():
+    there, back = (Segment(v, 0.0, 5.0) for v in (0.4, -0.4))
+    rest = Segment(0.0, 0.0, 2.0)
+    odom, truth = both(silent("backlash", {"travel": 0.01}, (REST, there, rest, back, rest), 25.0))
+    assert truth[-1, 0] - odom[-1, 0] == pytest.approx(0.01, abs=1e-6)
+    odom, truth = both(silent("backlash", {"travel": 0.01}, (REST, there, rest, back, rest, there, rest), 30.0))
+    assert abs(truth[-1, 0] - odom[-1, 0]) < 1e-6
+    odom, truth = both(silent("backlash", {"travel": 0.01}, STRAIGHT))
+    assert np.abs(truth - odom).max() < 1e-5
+
+
+def test_bursts_take_their_mean_part_of_the_way_and_sometimes_turn_the_robot():
+    parts, turns = [], []
+    for seed in range(40):
+        run = silent("slip_burst", {"rate": 0.2, "slip": 0.5, "duration": 0.3}, STRAIGHT, seed=seed)
+        odom, truth = both(run)
+        parts.append(1 - way_m(truth) / way_m(odom))
+        turns.append(truth[-1, 2])
+    assert np.mean(parts) == pytest.approx(0.2 * 0.3 * 0.5, rel=0.25)
+    assert np.std(turns) > 0.02
+
+
+@pytest.mark.parametrize(("channel", "route"), [("along", STRAIGHT), ("yaw", SPIN_LEFT)])
+def test_gain_wanders_with_its_deviation_in_its_channel_only(channel, route):
+    gains = []
+    for seed in range(40):
+        run = silent("gauss_markov", {"sigma": 0.03, "tau": 20.0, "channel": channel}, route, seed=seed)
+        odom, truth = (xyt[600:625] for xyt in both(run))
+        column = 0 if channel == "along" else 2
+        gains.append((truth[-1, column] - truth[0, column]) / (odom[-1, column] - odom[0, column]) - 1)
+        assert np.abs(truth[:, 2 - column] - odom[:, 2 - column]).max() < 1e-3
+    assert np.std(gains) == pytest.approx(0.03, rel=0.3)
+
+
+def test_the_difference_of_the_wheels_wanders_by_the_way_driven_and_not_at_rest():
+    bends = []
+    for seed in range(40):
+        run = silent("gauss_markov", {"sigma": 0.03, "tau": 20.0, "channel": "wheels"}, STRAIGHT, seed=seed)
+        odom, truth = (xyt[600:625] for xyt in both(run))
+        bends.append((truth[-1, 2] - truth[0, 2] - odom[-1, 2] + odom[0, 2]) / way_m(odom))
+    assert np.std(bends) == pytest.approx(0.03, rel=0.3)
+    odom, truth = both(silent("gauss_markov", {"sigma": 0.03, "tau": 20.0, "channel": "wheels"}, SPIN_LEFT, seed=1))
+    assert np.abs(truth[:, 2] - odom[:, 2]).max() < 1e-3
+
+
+def test_heavy_tails_are_heavy():
+    rig, route = dataclasses.replace(FLAWLESS_RIG, creep=1.0), (REST, Segment(0.5, 0.0, 900.0))
+    options = {"rig": rig, "truth": FLAWLESS_TRACKER, "route": route, "duration_s": 600.0}
+    kurtosis = []
+    for parameters in ({"inverse_dof": 0.0}, {"inverse_dof": 0.3}):
+        odom, truth = both(simulate(3, "heavy_tails", parameters=parameters, **options))
+        turns = np.diff((truth - odom)[500::25, 2])
+        kurtosis.append(np.mean(turns**4) / np.mean(turns**2) ** 2)
+    assert kurtosis[0] == pytest.approx(3.0, abs=0.4)
+    assert kurtosis[1] > 4.5
+
+
+def test_coarse_ticks_leave_a_lattice():
+    run = silent("quantization", {"step": 0.004}, STRAIGHT)
+    steps = np.hypot(*np.diff(run.odom_xyt[:, :2], axis=0).T)[np.abs(run.odom_twist[1:, 2]) < 1e-9] / 0.004
+    assert np.abs(steps - np.rint(steps)).max() < 1e-6
+    assert 3 <= len(set(np.rint(steps))) <= 5
+    assert run.odom_xyt[-1, 0] == pytest.approx(both(run)[1][-1, 0], abs=0.01)
+
+
+def test_lost_cycles_stand_still_between_moving_neighbours():
+    run = silent("lost_increments", {"fraction": 0.1}, FASTER)
+    odom, truth = both(run)
+    still = np.diff(odom[CRUISE, 0]) == 0.0
+    assert np.mean(still) == pytest.approx(0.1, abs=0.04)
+    assert odom[-1, 0] / truth[-1, 0] == pytest.approx(0.9, abs=0.02)
+
+
+def test_fast_clock_counts_more_seconds():
+    run, without = (silent("clock_skew", {"rate": rate}, STRAIGHT) for rate in (1e-3, 0.0))
+    elapsed_s, true_s = ((r.odom_stamps_ns[-1] - r.odom_stamps_ns[0]) * 1e-9 for r in (run, without))
+    assert elapsed_s / true_s == pytest.approx(1.001, abs=1e-9)
+
+
+def test_tracker_may_have_the_wrong_clock():
+    late = dataclasses.replace(FLAWLESS_TRACKER, clock_offset_s=0.5, clock_rate=1e-3)
+    assert isinstance(late, Tracker)
+    run = simulate(5, None, route=STRAIGHT, duration_s=28.0, truth=late, rig=FLAWLESS_RIG)
+    right = silent(None, None, STRAIGHT)
+    shift_ns = run.truth_stamps_ns - right.truth_stamps_ns
+    assert shift_ns[0] * 1e-9 == pytest.approx(0.5, abs=1e-3)
+    assert shift_ns[-1] * 1e-9 == pytest.approx(0.528, abs=1e-3)
+
+
+def test_satellites_wander_slowly():
+    run = simulate(13, None, route=(REST,), truth="rtk", duration_s=600.0)
+    far_m = run.truth_xyt[3000:, :2] - run.truth_xyt[:-3000, :2]
+    assert np.std(far_m) / np.sqrt(2) == pytest.approx(np.hypot(0.012, 0.01), rel=0.3)
+    slow = np.convolve(run.truth_xyt[:, 0], np.ones(50) / 50, "valid")
+    assert np.std(slow) > 0.004
+
+
+def test_axle_out_of_centre_wags_the_robot_once_per_turn_of_the_wheel():
+    robot = build_robot(stream(5, "robot"))
+    odom, truth = both(silent("eccentric_wheel", {"e": 0.05, "phase": 0.0}, STRAIGHT))
+    expected = 0.05 * robot.nominal_radius_m / robot.nominal_track_m * np.sin(odom[:, 0] / robot.nominal_radius_m)
+    assert np.abs(truth[:, 2] - expected).max() < 1e-3
+
+
+def test_iron_turns_the_compass_by_the_heading():
+    heading = start()[1]
+    odom, truth = both(silent("magnetic_heading", {"amplitude": 0.05, "direction": 0.3}, SPIN_LEFT))
+    facing = truth[:, 2] + heading - 0.3
+    assert np.abs(odom[:, 2] - truth[:, 2] - 0.05 * (np.sin(facing) - np.sin(heading - 0.3))).max() < 1e-4
+
+
+def test_carpet_pulls_towards_its_ribs_whichever_way_one_goes():
+    parameters = {"creep": 0.02, "direction": start()[1] + 0.25 * np.pi}
+    odom, truth = both(silent("floor_grain", parameters, STRAIGHT))
+    assert truth[-1, 1] == pytest.approx(0.02 * odom[-1, 0], rel=1e-3)
+
+
+def test_braking_wheels_are_dragged():
+    odom, truth = both(silent("braking_drag", {"slip": 0.2, "deceleration": 0.3}, STRAIGHT))
+    assert truth[900, 0] == pytest.approx(odom[900, 0], abs=1e-6)
+    assert 0.02 < truth[-1, 0] - odom[-1, 0] < 0.06
+
+
+def test_load_that_slides_bends_the_path_from_then_on():
+    run = silent("load_shift", {"squeeze": 0.01, "time": 12.0}, STRAIGHT)
+    odom, truth = both(run)
+    assert np.abs(truth[:590, 2]).max() < 1e-9
+    bent = (truth[900, 2] - truth[700, 2]) / (odom[900, 0] - odom[700, 0])
+    assert bent == pytest.approx(-0.02 / run.track_m, rel=1e-3)
+
+
+def test_strip_takes_its_part_across_its_width():
+    place, heading = start()
+    middle = place + 4.0 * np.exp(1j * heading)
+    parameters = {"x": middle.real, "y": middle.imag, "direction": heading + 0.5 * np.pi, "width": 2.0, "slip": 0.1}
+    odom, truth = both(silent("wet_strip", parameters, STRAIGHT))
+    assert odom[-1, 0] - truth[-1, 0] == pytest.approx(0.2 / 0.9, abs=0.003)
+
+
+def test_patch_under_the_left_wheel_alone_turns_to_the_left():
+    place, heading = start()
+    centre = place + (4.0 + 0.65j) * np.exp(1j * heading)
+    patch = {"slip": 0.1, "x": centre.real, "y": centre.imag, "radius": 0.6}
+    odom, truth = both(silent("wet_patch", patch, STRAIGHT))
+    assert truth[-1, 2] > 0.05
+    assert abs(odom[-1, 2]) < 1e-9
+
+
+def test_two_flaws_are_both_there():
+    parameters = {"wheel_scale": {"e": 0.01}, "wheelbase": {"e": 0.02}}
+    odom, truth = both(silent(("wheel_scale", "wheelbase"), parameters, STRAIGHT))
+    assert truth[-1, 0] / odom[-1, 0] == pytest.approx(1.01, abs=1e-6)
+    run = silent(("wheel_scale", "wheelbase"), parameters, SPIN_LEFT)
+    odom, truth = both(run)
+    assert truth[-1, 2] / odom[-1, 2] == pytest.approx(1.01 / 1.02, abs=1e-6)
+    assert run.answer["causes"] == parameters
+    assert run.answer["cause"] == "wheel_scale+wheelbase"
+
+
+def test_drawn_flaws_of_a_mixture_are_those_of_its_parts():
+    both_at_once = simulate(4, ("side_slip", "slope"), duration_s=10.0).answer["causes"]
+    alone = {name: simulate(4, name, duration_s=10.0).answer["parameters"] for name in both_at_once}
+    assert both_at_once == alone
+
+
+@pytest.mark.parametrize(
+    "causes", ["wheel_skale", ("slope", "slope"), ("gyro_bias", "wheelbase"), ("gyro_scale", "eccentric_wheel")]
+)
+def test_impossible_causes_are_refused(causes):
+    with pytest.raises(EffectError):
+        simulate(1, causes, duration_s=10.0)
+
+
+@pytest.mark.parametrize("cause", ["region_slip", "wet_patch", "wet_strip"])
+def test_place_stays_where_it_is_for_other_drives_of_the_robot(cause):
+    here = simulate(4, cause, duration_s=30.0)
+    there = simulate(5, cause, duration_s=60.0, robot_seed=4)
+    assert here.answer == there.answer
+    assert np.abs(here.truth_xyt[0, :2] - there.truth_xyt[0, :2]).max() < 0.05
+    without = simulate_without(5, cause, duration_s=60.0, robot_seed=4)
+    assert np.array_equal(without.truth_xyt[:100], there.truth_xyt[:100])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("route", ["office", "loops", "slalom", "shuttle", "yard", "umbmark"])
+def test_patch_is_met_on_every_route(route):
+    lost = []
+    for seed in range(4):
+        options = {"route": route, "duration_s": 300.0, "robot_seed": 40 + seed}
+        with_patch, without = simulate(seed, "region_slip", **options), simulate_without(seed, "region_slip", **options)
+        lost.append(np.abs(with_patch.truth_xyt[-1] - without.truth_xyt[-1]).max() > 0.0)
+    assert sum(lost) >= 3
+
+
+def test_skid_steer_is_wide_and_scrubs():
+    differential, skid = (build_robot(stream(5, "robot"), kind) for kind in ("differential", "skid"))
+    assert skid.nominal_track_m > 1.25 * differential.nominal_track_m
+    odom, truth = both(silent(None, None, None, duration_s=100.0, drive_type="skid"))
+    assert np.abs(odom - truth).max() < 1e-3
+    _, truth = both(silent("side_slip", {"k": 0.03}, CIRCLE_LEFT, duration_s=40.0, drive_type="skid"))
+    assert np.isfinite(truth).all()
+
+
+def test_hidden_draws_all_kinds_and_what_shows():
+    drawn = [draw_causes(seed) for seed in range(400)]
+    kinds = [len(h.causes) for h in drawn]
+    assert min(kinds.count(0), kinds.count(2), kinds.count(1)) > 30
+    assert any(h.causes and h.causes[0] in OUTSIDE for h in drawn)
+    assert 0.35 < np.mean([h.yaw_from == "gyro" for h in drawn]) < 0.65
+    assert all(h.yaw_from == "gyro" for h in map(draw_causes, range(20), ["gyro"] * 20))
+    for h in drawn[:30]:
+        simulate(1, h.causes, yaw_from=h.yaw_from, duration_s=6.0)
+
+
+def test_negative_sizes_of_what_has_none_are_refused():
+    with pytest.raises(EffectError, match="must not be negative"):
+        silent("backlash", {"travel": -0.01}, (REST, Segment(0.1, 0.0, 1.0)))
