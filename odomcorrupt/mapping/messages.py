@@ -1,4 +1,7 @@
-"""Laser scans, clouds and maps in a bag, and the pose of a laser on the robot from TF."""
+"""Laser scans, clouds and maps in a bag, and the pose of a laser on the robot from TF.
+
+Messages are untrusted: every count is checked against the bytes present before memory is allocated.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Model files: noise and effects of a robot as TOML, and effects written as text."""
+"""Model files: motion models as editable TOML (schema 1 of docs/model-file.md), and effects written as text.
+
+Reading executes no code and opens no other file.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""Other sensors of the robot: their own noise, and numbers that follow the motion."""
+"""Other sensors of the robot: their own noise, and numbers that are linear in the motion, rewritten to the noisy one.
+
+Angles, ticks and speeds of wheels, twists and gyros are running counts or rates of a sum of forward travel, leftward
+travel and turn. Its coefficients (of a wheel: one over its radius, and its distance from the middle over its radius)
+are estimated from the bag, number by number, so mirrored wheels, any number of wheels and tilted gyros need no setting.
+"""
 
 from __future__ import annotations
 

@@ -75,13 +75,10 @@ def draw_residuals(comparison: Comparison) -> Figure:
             panels[c, 0].set_ylabel(f"{CHANNELS[c]} ({_PER_METRE[c]})")
             for axes in panels[c]:
                 axes.axhline(0.0, color="0.3", linewidth=0.8, zorder=1)
-                axes.grid(visible=True, color="0.93")
                 axes.tick_params(labelsize=8)
         for axes, label in zip(panels[-1], labels, strict=True):
             axes.set_xlabel(label)
-        figure.legend(
-            *panels[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=2 * len(shown), fontsize=9
-        )
+        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=2 * len(shown))
     return figure
 
 
@@ -186,11 +183,10 @@ def draw_errors(comparison: Comparison) -> Figure:
             _counts(axes, comparison.evaluations[-1])
             for axis in (axes.xaxis, axes.yaxis):
                 plain_logarithm(axis)
-            axes.grid(visible=True, which="major", color="0.9")
         # one legend entry per kind of line, not per model
         panels[0].plot([], [], color="0.4", marker="|", markersize=9, linewidth=1.3, label="measured, 90 % interval")
         panels[0].plot([], [], color="0.4", linewidth=1.3, linestyle=(0, (4, 3)), label="expected by the model")
-        above.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3, fontsize=9)
+        above.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3)
         _bars(below.subplots(), comparison)
     return figure
 
@@ -277,7 +273,7 @@ def draw_nees(comparison: Comparison) -> Figure:
         )
         for axes in (left, right):
             _distances(axes, [h.distance_m for h in max((j.horizons for j in comparison.evaluations), key=len)])
-        figure.legend(*left.get_legend_handles_labels(), loc="outside upper left", ncols=3, fontsize=9)
+        figure.legend(*left.get_legend_handles_labels(), loc="outside upper left", ncols=3)
     return figure
 
 
@@ -285,7 +281,6 @@ def _distances(axes: Axes, distances: list[float]) -> None:
     axes.set(xscale="log", xlabel="path driven (m)")
     axes.set_xticks(distances, [f"{d:g}" for d in distances])
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.grid(visible=True, which="major", color="0.92")
 
 
 def draw_pit(comparison: Comparison) -> Figure:
@@ -304,7 +299,7 @@ def draw_pit(comparison: Comparison) -> Figure:
             axes.axhline(0.0, color=BLACK, linewidth=0.8)
             axes.set(title=channel, xlabel="predicted probability", xlim=(0.0, 1.0))
         panels[0].set_ylabel("measured minus predicted")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3, fontsize=9)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3)
     return figure
 
 
@@ -355,7 +350,6 @@ def _panel(axes: Axes, evaluation: ModelEvaluation, length_m: float) -> LineColl
     axes.autoscale_view()
     axes.set_aspect("equal", adjustable="box")
     axes.set(xlabel="x (m)", ylabel="y (m)", title=short_name(evaluation.name))
-    axes.grid(visible=True, color="0.93")
     return lines
 
 
@@ -554,7 +548,6 @@ def _drawn(axes: Axes, one: Dependence) -> None:
     axes.axhline(0.0, color="0.3", linewidth=0.8)
     axes.fill_between(x, curve - 2.0 * error, curve + 2.0 * error, color=ORANGE, alpha=0.28, linewidth=0)
     axes.plot(x, curve, color="#A06000", linewidth=1.8, marker="o" if len(x) < 20 else "", markersize=4)
-    axes.grid(visible=True, color="0.93")
     axes.set(xlabel=label, ylabel=f"truth minus odometry ({unit})")
 
 
@@ -590,7 +583,6 @@ def draw_plan(plan: Plan) -> Figure:
             xlim=(middle[0] - 0.6 * size, middle[0] + 0.6 * size),
             ylim=(middle[1] - 0.6 * size, middle[1] + 0.6 * size),
         )  # fmt: skip
-        where.grid(visible=True, color="0.93")
         above, below = parts[1].subplots(2, 1, sharex=True)
         above.plot(times_s, plan.v_mps[shown], color=BLUE, linewidth=1.3)
         above.set(ylabel="m/s", title="commands, the first two minutes")
@@ -598,5 +590,4 @@ def draw_plan(plan: Plan) -> Figure:
         below.set(ylabel="deg/s", xlabel="s")
         for axes in (above, below):
             axes.axhline(0.0, color="0.6", linewidth=0.7, zorder=0)
-            axes.grid(visible=True, color="0.93")
     return figure

@@ -36,6 +36,10 @@ _STYLE: dict[Any, Any] = {
     "axes.titlesize": 10.5,
     "axes.titlelocation": "left",
     "axes.axisbelow": True,
+    "axes.grid": True,
+    "grid.color": "0.92",
+    "figure.titlesize": 11,
+    "legend.fontsize": 9,
     "legend.frameon": False,
     "svg.hashsalt": "odomcorrupt",
 }

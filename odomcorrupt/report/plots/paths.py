@@ -40,7 +40,7 @@ def draw_paths(comparison: Comparison) -> Figure:
             except EffectError:  # a law that absorbs all motion can be removed from odometry, but not applied
                 none = "no odometry of this drive satisfies it: no runs to show"
                 axes.set_title(f"{short_name(evaluation.name)}\n{none}", fontsize=10)
-        figure.legend(*panels[0][0].get_legend_handles_labels(), loc="upper left", ncols=4, fontsize=9)
+        figure.legend(*panels[0][0].get_legend_handles_labels(), loc="upper left", ncols=4)
     return figure
 
 
@@ -64,7 +64,6 @@ def _panel(axes: Axes, paths: Replay, name: str, number: int) -> None:
     axes.set_title(f"{name}{shown}\nmeasured in its 90 % region at {inside} of {_MARKS} places", fontsize=10)
     axes.set(xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal", adjustable="box")
-    axes.grid(visible=True, color="0.93")
 
 
 def draw_corruption(
@@ -87,16 +86,17 @@ def draw_corruption(
         plane.plot(before[:, 0], before[:, 1], color=TRUTH, linewidth=1.4, label=names[0])
         plane.set(xlabel="x in odom, m", ylabel="y in odom, m")
         plane.set_aspect("equal", adjustable="datalim")
-        plane.legend(loc="best", fontsize=9)
+        plane.legend(loc="best")
         growth.plot(driven_m, np.hypot(error[:, 0], error[:, 1]), color=RUNS, label="position, m")
         growth.set(xlabel="distance driven, m", ylabel="position, m", xlim=(0.0, None), ylim=(0.0, None))
         heading = growth.twinx()
+        heading.grid(visible=False)
         heading.spines["right"].set_visible(True)
         heading.plot(driven_m, np.degrees(error[:, 2]), color=ORANGE, linestyle="--", label="heading, deg")
         heading.set_ylabel("heading, deg")
         lines = [*growth.get_lines(), *heading.get_lines()]
-        growth.legend(lines, [str(line.get_label()) for line in lines], loc="upper left", fontsize=9)
-        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+        growth.legend(lines, [str(line.get_label()) for line in lines], loc="upper left")
+        figure.suptitle(title, x=0.01, ha="left")
     return figure
 
 
@@ -122,9 +122,7 @@ def draw_errors(error: PathErrors, true_name: str, name: str, title: str) -> Fig
         worst = float(np.abs(error.heading_rad).max())
         turn.plot(t, 1e3 * error.heading_rad, color=TRUTH, linewidth=0.8)
         turn.set(ylabel="heading error (mrad)", xlabel="time (s)", title=f"at most {worst:.4f} rad")
-        for axes in (heading, position, turn):
-            axes.grid(visible=True, color="0.92")
-        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+        figure.suptitle(title, x=0.01, ha="left")
     return figure
 
 
@@ -152,7 +150,6 @@ def draw_runs(runs_xyt: Array, true_xyt: Array, true_name: str, title: str) -> F
 def _plane(axes: Axes) -> None:
     axes.set(xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal", adjustable="datalim")
-    axes.grid(visible=True, color="0.92")
 
 
 def draw_fan(outlook: Forecast, title: str) -> Figure:
@@ -169,7 +166,7 @@ def draw_fan(outlook: Forecast, title: str) -> Figure:
         plane.plot(outlook.clean_xy[:, 0], outlook.clean_xy[:, 1], color=TRUTH, linewidth=1.4, label="clean")
         plane.set(xlabel="x in odom (m)", ylabel="y in odom (m)", title="Paths by the corrupted odometry")
         plane.set_aspect("equal", adjustable="datalim")
-        plane.legend(loc="best", fontsize=9)
+        plane.legend(loc="best")
         distance = [row.after_m for row in outlook.rows]
         position.plot(distance, [row.position_rms_m for row in outlook.rows], "o-", color=RUNS)
         position.set(title="How the drift grows (root mean square)", ylabel="position (m)")
@@ -177,6 +174,5 @@ def draw_fan(outlook: Forecast, title: str) -> Figure:
         heading.set(xlabel="distance driven (m)", ylabel="heading (deg)")
         for axes in (position, heading):
             axes.set(xlim=(0.0, None), ylim=(0.0, None))
-            axes.grid(visible=True, color="0.92")
-        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+        figure.suptitle(title, x=0.01, ha="left")
     return figure

@@ -65,6 +65,7 @@ def draw_grid(axes: Axes, grid: Grid) -> None:
     x, y, yaw = (float(value) for value in grid.origin_xyt)
     image.set_transform(Affine2D().rotate_around(x, y, yaw) + axes.transData)
     axes.set_aspect("equal", adjustable="box")
+    axes.grid(visible=False)
 
 
 def draw_free_space(axes: Axes, space: FreeSpace) -> None:
@@ -93,8 +94,7 @@ def _off_surface(axes: Axes, maps: Sequence[ScanMap]) -> None:
         )  # fmt: skip
     axes.set(xlabel="distance travelled (m)", ylabel="cm", ylim=(0.0, None), xlim=(0.0, None))
     axes.set_title("distance of hits from the walls of the first map (RMS)")
-    axes.grid(visible=True, axis="y", color="0.92")
-    axes.legend(loc="upper left", fontsize=9)
+    axes.legend(loc="upper left")
 
 
 def _thickness(axes: Axes, maps: Sequence[ScanMap], window_m: float, added: str) -> None:
@@ -107,8 +107,7 @@ def _thickness(axes: Axes, maps: Sequence[ScanMap], window_m: float, added: str)
     axes.plot(maps[0].marks_m, 100.0 * added_m, "s--", color="0.6", markersize=4, label=added)
     axes.set(xlabel="distance travelled (m)", ylabel="cm", ylim=(0.0, None), xlim=(0.0, None))
     axes.set_title(f"wall thickness (Razlaw et al. 2015), window {window_m:g} m")
-    axes.grid(visible=True, color="0.92")
-    axes.legend(loc="best", ncols=2, fontsize=9)
+    axes.legend(loc="best", ncols=2)
 
 
 SIGMAS = 2.0
@@ -131,8 +130,8 @@ def draw_banana(move: Move, variances: Variances, xyt: Array, title: str, space:
         _frame_samples(plane, move, np.concatenate((xyt[:, :2], *reach)))
         _inset(plane, move, variances, xyt)
         _headings(headings, move, xyt)
-        figure.legend(*plane.get_legend_handles_labels(), loc="outside lower left", ncols=3, fontsize=9)
-        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+        figure.legend(*plane.get_legend_handles_labels(), loc="outside lower left", ncols=3)
+        figure.suptitle(title, x=0.01, ha="left")
     return figure
 
 
@@ -194,7 +193,6 @@ def _frame_samples(axes: Axes, move: Move, xy: Array) -> None:
     pad = 0.07 * float((high - low).max()) + 1e-3
     axes.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad), xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal", adjustable="box")
-    axes.grid(visible=True, color="0.92", linewidth=0.8)
 
 
 def _ellipses(axes: Axes, move: Move, variances: Variances, xyt: Array) -> None:
@@ -244,7 +242,7 @@ def draw_density(move: Move, grid: DensityGrid, xyt: Array, title: str, unit: st
         right.set_title("closed form, summed over the heading")
         right.set_ylabel("")
         figure.colorbar(image, ax=right, label=unit, shrink=0.85)
-        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+        figure.suptitle(title, x=0.01, ha="left")
     return figure
 
 
@@ -293,8 +291,7 @@ def draw_cloud(cloud: ParticleSet, title: str, space: FreeSpace | None = None) -
             pad = 0.06 * float((high - low).max())
             axes.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad))
             axes.set_aspect("equal", adjustable="box")
-        axes.grid(visible=True, color="0.92")
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower left", ncols=4, fontsize=9)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower left", ncols=4)
     return figure
 
 
@@ -310,7 +307,7 @@ def draw_spread(report: SpreadReport) -> Figure:
         plane.plot(report.clean_xy[:, 0], report.clean_xy[:, 1], color=TRUTH, linewidth=2.0, label="clean path")
         plane.set(xlabel="x in odom, m", ylabel="y in odom, m", title="Paths by the corrupted odometry")
         plane.set_aspect("equal", adjustable="datalim")
-        plane.legend(loc="best", fontsize=9)
+        plane.legend(loc="best")
         for row, (column, factor, label) in enumerate(
             ((1, 1.0, "position error, m"), (2, 180.0 / np.pi, "heading, deg"))
         ):
@@ -327,5 +324,5 @@ def draw_spread(report: SpreadReport) -> Figure:
             growth.set(ylabel=label, xlim=(0.0, None), ylim=(0.0, None))
             growth.legend(loc="upper left", fontsize=8)
         growth.set_xlabel("distance driven, m")
-        figure.suptitle(f"{report.directory}: {report.runs} runs", x=0.01, ha="left", fontsize=11)
+        figure.suptitle(f"{report.directory}: {report.runs} runs", x=0.01, ha="left")
     return figure

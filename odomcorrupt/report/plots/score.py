@@ -73,7 +73,7 @@ def drift(axes: Axes, report: ScoreReport) -> None:
     axes.set(xlabel="drift of the odometry, % of the way (rms over 10 m)", ylabel="ATE of the estimate, m")
     axes.set_title("Error against the added drift")
     if runs:
-        axes.legend(loc="best", fontsize=9)
+        axes.legend(loc="best")
 
 
 def along(axes: Axes, report: ScoreReport) -> None:
@@ -90,7 +90,7 @@ def along(axes: Axes, report: ScoreReport) -> None:
     axes.set(xlabel="distance driven, m", ylabel="position error, m", yscale="log", title="Error along the path")
     axes.set_ylim(bottom=1e-3 * top)
     plain_logarithm(axes.yaxis)
-    axes.legend(loc="best", fontsize=9)
+    axes.legend(loc="best")
 
 
 def places(axes: Axes, report: ScoreReport) -> None:
@@ -108,4 +108,4 @@ def places(axes: Axes, report: ScoreReport) -> None:
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
     axes.set_aspect("equal", adjustable="box")
     axes.set(xlabel="x, m", ylabel="y, m", title="Where")
-    axes.legend(loc="best", fontsize=9)
+    axes.legend(loc="best")
