@@ -586,7 +586,10 @@ def _run_in_pool(left: dict[int, Task], jobs: int, audience: Audience) -> None:
             waiting = set(futures)
             while waiting:
                 ready, waiting = wait(waiting, PAUSE_S if news is not None else None, FIRST_COMPLETED)
-                _pass_on(news, left, audience)
+                while news is not None and not news.empty():
+                    number, part, past_s = news.get()
+                    if number in left:
+                        audience.under_way(left[number], part, past_s)
                 for future in ready:
                     audience.done(left[futures[future]], future.result())
                     del left[futures[future]]
@@ -653,13 +656,6 @@ def _attempt_numbered(number: int, task: Task) -> list[Failure]:
         return attempt(task, None if _news is None else lambda part, past_s: _news.put((number, part, past_s)))
     except SystemExit as ended:  # the pool would send it to the batch as an answer
         os._exit(int(ended.code or 0))
-
-
-def _pass_on(news: Any, tasks: Mapping[int, Task], audience: Audience) -> None:
-    while news is not None and not news.empty():
-        number, part, past_s = news.get()
-        if number in tasks:
-            audience.under_way(tasks[number], part, past_s)
 
 
 def run_on_dask(job_runs: Sequence[tuple[Job, Sequence[int]]], address: str, audience: Audience) -> None:

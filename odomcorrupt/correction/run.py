@@ -288,7 +288,8 @@ def brief(corrected: Corrected, target: str) -> Summary:
     corrected : result of the correction
     target : the output; "-" is a pipe
     """
-    drift, taken = corrected.run.drift, _taken_out(corrected)
+    drift, steps = corrected.run.drift, ["a filter's steps towards poses"] * corrected.model.setup.pose_corrections
+    taken = ", ".join([*steps, *map(effect_words, corrected.effects.undone)])
     of_truth = ", ".join(
         f"{effect.name} ({_OF_TRUTH.get(effect.name, 'of the recordings')})"
         for effect in corrected.model.setup.effects
@@ -315,8 +316,11 @@ def brief(corrected: Corrected, target: str) -> Summary:
     lines += [Line("remains", f"{e.name}: {_WHY_NOT.get(e.name, _RANDOM)}", "warning") for e in corrected.effects.left]
     lines += [Line("remains", f"{e.name} {_AT_REST}") for e in corrected.effects.undone if e.shown_at_rest]
     lines += [Line("remains", sentence.removeprefix("What remains is ")) for sentence in _remains(corrected)]
-    odd = (sentence for sentence in _oddities(corrected.run) if not sentence.startswith("Lost: "))
-    lines += [Line("anomaly", sentence, "warning") for sentence in odd]
+    odd = stream_oddities(
+        corrected.run, follow="the correction", restart="each stretch was corrected by itself",
+        late="not used to correct",
+    )  # fmt: skip
+    lines += [Line("anomaly", sentence, "warning") for sentence in odd if not sentence.startswith("Lost: ")]
     clocks = corrected.model.setup.clocks and not any(effect.clock for effect in corrected.effects.undone)
     if aside := [*_aside(corrected), *["clocks"] * bool(clocks)]:
         said = f"[setup] belongs to the recordings that were fitted and was not applied: {', '.join(aside)}"
@@ -329,12 +333,6 @@ def _aside(corrected: Corrected) -> list[str]:
     """Return the names of the set-up's effects, which are not taken out unless they are given."""
     given = {effect.name for effect in corrected.effects.undone}
     return [effect.name for effect in corrected.model.setup.effects if effect.name not in given]
-
-
-def _taken_out(corrected: Corrected) -> str:
-    """Return what was taken out, "" for nothing."""
-    steps = ["a filter's steps towards poses"] * corrected.model.setup.pose_corrections
-    return ", ".join([*steps, *map(effect_words, corrected.effects.undone)])
 
 
 def _clock_left(corrected: Corrected) -> list[str]:
@@ -376,9 +374,3 @@ def _misplaced(corrected: Corrected) -> list[str]:
     where = f"{names}: depends on the position, which by the end is uncertain by {off_m:.3g} m or more (1 sigma)"
     wrong = "it may have been taken out in the wrong place; that error is not in the noise above"
     return [f"{where}, so that {wrong}. `compare` uses the true position."]
-
-
-def _oddities(outcome: Outcome) -> list[str]:
-    return stream_oddities(
-        outcome, follow="the correction", restart="each stretch was corrected by itself", late="not used to correct"
-    )

@@ -142,13 +142,9 @@ def moved_words(outcome: Outcome, *, full: bool = False) -> str:
 def odometry_line(outcome: Outcome, tone: Tone = "plain") -> Line:
     """Return the line of what was moved, and in full by the poses of which odometry, with its length."""
     topic = topic_words(outcome)
-    source = f"computed from the poses of {outcome.odometry}{topic} ({travel_words(outcome)})"
+    way = f"{outcome.drift.distance_m:.4g} m in {outcome.drift.duration_s:.4g} s"
+    source = f"computed from the poses of {outcome.odometry}{topic} ({way})"
     return Line("odometry", moved_words(outcome) + topic, tone, full=f"{moved_words(outcome, full=True)}, {source}")
-
-
-def travel_words(outcome: Outcome) -> str:
-    """Return path length and duration as text."""
-    return f"{outcome.drift.distance_m:.4g} m in {outcome.drift.duration_s:.4g} s"
 
 
 def model_words(model: MotionModel, origin: str) -> str:

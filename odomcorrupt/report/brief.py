@@ -126,8 +126,7 @@ def findings_brief(
         *_written_lines(search, written),
         # the identity of an effect is more important than its gain
         *open_lines(search, advice),
-        *limit_lines(advice),
-        *([] if named else untested_lines(search, advice)),
+        *untested_lines(search, advice, named=named),
         *drive_lines(search),
         *_error_lines(comparison),
     ]
@@ -453,18 +452,17 @@ def open_lines(search: Learned, advice: Advice) -> list[Line]:
     return [Line("open", said, "warning", SPARE)] if said else []
 
 
-def limit_lines(advice: Advice) -> list[Line]:
-    """Return the effects hidden by the scale error of a gyro or laser that serves as truth, and the remedy."""
+def untested_lines(search: Learned, advice: Advice, *, named: bool) -> list[Line]:
+    """Return the effects hidden by the scale error of a gyro or laser that serves as truth, with the remedy.
+
+    named : whether there are findings; else the frequent causes that the drives could not show are returned, too
+    """
     hidden = [one for one in advice.untestable if one.limited_by_truth]
-    return [Line("not testable", f"{one.effect}: {one.why}; {one.hint}", "warning") for one in hidden]
-
-
-def untested_lines(search: Learned, advice: Advice) -> list[Line]:
-    """Return the frequent causes that the drives could not show, for a model without findings."""
-    common = search.decisions.common
-    names = [one.effect for one in advice.untestable if one.effect in common and not one.limited_by_truth]
-    said = f"{', '.join(names)}: not visible in these data (-v: why, and what would show it)"
-    return [Line("not testable", said, "warning")] if names else []
+    said = [f"{one.effect}: {one.why}; {one.hint}" for one in hidden]
+    names = [one.effect for one in advice.untestable if one.effect in search.decisions.common and one not in hidden]
+    if names and not named:
+        said.append(f"{', '.join(names)}: not visible in these data (-v: why, and what would show it)")
+    return [Line("not testable", one, "warning") for one in said]
 
 
 def hidden_noise(result: RobotFit | None) -> list[Line]:
