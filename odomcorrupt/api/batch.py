@@ -17,9 +17,8 @@ from odomcorrupt.api.result import Result
 from odomcorrupt.bags.pipeline import default_threads
 from odomcorrupt.batching.dispersion import measure
 from odomcorrupt.batching.engine import Shard, need_of, require_odometry, require_space, run_batch
-from odomcorrupt.batching.job import BatchSpec, Job, plan
+from odomcorrupt.batching.job import BatchSpec, Job, fleet_model, plan
 from odomcorrupt.batching.manifest import fingerprint_of, read_beginning, read_records, seed_of
-from odomcorrupt.batching.parameter_draws import fleet_model
 from odomcorrupt.batching.sinks import assemble_overlay
 from odomcorrupt.corruption.summary import places_lines
 from odomcorrupt.errors import BatchError, BatchOptionError

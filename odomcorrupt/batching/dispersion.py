@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from odomcorrupt.batching.job import Spread
 from odomcorrupt.batching.manifest import read_beginning, read_records
-from odomcorrupt.batching.parameter_draws import Spread
 from odomcorrupt.batching.sinks import read_tum
 from odomcorrupt.corruption.covariance import pose_covariance
 from odomcorrupt.corruption.inverse import SystematicEffects

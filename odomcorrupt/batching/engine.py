@@ -22,7 +22,7 @@ from odomcorrupt.bags.block import Block, ReaderView
 from odomcorrupt.bags.open import Form, Target, open_reader
 from odomcorrupt.bags.output import beside, place, remove
 from odomcorrupt.bags.pipeline import Workers, default_threads
-from odomcorrupt.batching.job import Task
+from odomcorrupt.batching.job import Task, drawn_values
 from odomcorrupt.batching.manifest import (
     PARTS,
     begin,
@@ -35,7 +35,6 @@ from odomcorrupt.batching.manifest import (
     sweep_leftovers,
     write_manifest,
 )
-from odomcorrupt.batching.parameter_draws import drawn_values
 from odomcorrupt.batching.patch_batch import LateTopic, SharedRun, portions
 from odomcorrupt.batching.sinks import (
     BagSink,

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from odomcorrupt.scoring.gate import Verdict
-    from odomcorrupt.scoring.run import RunScore, ScoreReport, Status
-    from odomcorrupt.scoring.statistics import Quantile
+    from odomcorrupt.scoring.run import Quantile, RunScore, ScoreReport, Status
 
 
 METRIC_WORDS = {

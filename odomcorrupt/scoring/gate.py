@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from odomcorrupt.scoring.errors import ScoreError
-from odomcorrupt.scoring.statistics import quantile
+from odomcorrupt.scoring.run import quantile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from test_batch_bytes import records
 
-from odomcorrupt.batching.job import parse_range, sobol_points, variants
-from odomcorrupt.batching.parameter_draws import draw_robot, fleet_model, spreads_of
+from odomcorrupt.batching.job import draw_robot, fleet_model, parse_range, sobol_points, spreads_of, variants
 from odomcorrupt.cli import run
 from odomcorrupt.errors import ModelError
 from odomcorrupt.model.model_file import parse_model, read_model

@@ -5,7 +5,7 @@ import pytest
 
 from odomcorrupt.scoring.errors import ScoreError
 from odomcorrupt.scoring.gate import _signed_rank, check, compare_paired, parse_rule, typical_of
-from odomcorrupt.scoring.statistics import breakdown, growth, sections, summarise
+from odomcorrupt.scoring.run import breakdown, growth, sections, summarise
 
 
 def pair(rng, rise, scatter=0.2, n=40):
