@@ -172,7 +172,7 @@ LEG_S = 20.0
 """A leg is driven for all but its last 3 s, in which the robot stands."""
 
 
-def rests(*, rests=True, slow_turn=False):
+def resting(*, rests=True, slow_turn=False):
     """Return times (n,) and twists (n - 1, 2) of arcs with rests between them."""
     t_s = np.arange(round(600.0 * HZ) + 1) / HZ
     phase, leg = t_s[:-1] % LEG_S, (t_s[:-1] // LEG_S).astype(int)
@@ -210,14 +210,14 @@ def heading_errors(effects, t_s, twist, bias):
 
 @pytest.mark.parametrize("tau", [0.0, 200.0])
 def test_rests_show_the_bias(tau):
-    t_s, twist = rests()
+    t_s, twist = resting()
     walk = GyroBiasWalk(density=1e-4, tau=tau)
     before, after = heading_errors([walk], t_s, twist, walked(t_s, walk.density, tau))
     assert after < 0.05 * before
 
 
 def test_a_constant_bias_in_the_model_is_removed_once():
-    t_s, twist = rests()
+    t_s, twist = resting()
     walk = GyroBiasWalk(density=1e-4)
     bias = walked(t_s, walk.density, 0.0)
     _, alone = heading_errors([walk], t_s, twist, bias)
@@ -226,7 +226,7 @@ def test_a_constant_bias_in_the_model_is_removed_once():
 
 
 def test_a_slow_turn_on_the_spot_is_no_bias():
-    t_s, twist = rests(slow_turn=True)
+    t_s, twist = resting(slow_turn=True)
     walk = GyroBiasWalk(density=1e-4)
     _, after = heading_errors([walk], t_s, twist, walked(t_s, walk.density, 0.0))
     assert after < 0.02  # it turns by 0.09
@@ -234,13 +234,13 @@ def test_a_slow_turn_on_the_spot_is_no_bias():
 
 @pytest.mark.parametrize(("effects", "rests"), [([GyroBiasWalk(density=1e-4)], False), ([WheelScale(e=0.0)], True)])
 def test_nothing_is_removed_without_rests_or_without_the_effect(effects, rests):
-    t_s, twist = rests(rests=rests)
+    t_s, twist = resting(rests=rests)
     before, after = heading_errors(effects, t_s, twist, walked(t_s, 1e-4, 0.0))
     assert after == before
 
 
 def test_wheels_that_show_no_bias_at_rest_are_not_corrected():
-    t_s, twist = rests()
+    t_s, twist = resting()
     bias = np.where(twist[:, 0] == 0.0, 0.0, walked(t_s, 1e-4, 0.0))
     before, after = heading_errors([GyroBiasWalk(density=1e-4)], t_s, twist, bias)
     assert after == pytest.approx(before, rel=1e-9)
