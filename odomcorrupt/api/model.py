@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from odomcorrupt import export
 from odomcorrupt.api.result import Result
 from odomcorrupt.corruption.inverse import SystematicEffects
 from odomcorrupt.corruption.path import NoisyPath
@@ -419,11 +418,13 @@ class Export(Result):
 
     def summary(self) -> Summary:
         """Return the values, and the effects that cannot be represented."""
+        from odomcorrupt.export import number
+
         left = self.result.left_out
         lines = [Line("EXPORTED", f"{self.name} for {self.to}", "warning" if left else "good")]
         if left:
             lines.append(Line("left out", f"{', '.join(left)}: comments in the file say why", "warning"))
-        values = {name: export.number(value) for name, value in self.result.values.items()}
+        values = {name: number(value) for name, value in self.result.values.items()}
         shown = [f"{name} {value}" for name, value in values.items()]
         if self.to == "robot_localization":
             shown = [f"twist covariance diagonal {', '.join(values.values())}"]
@@ -505,6 +506,8 @@ def export_parameters(
     >>> [(row["parameter"], round(row["value"], 5)) for row in alphas.rows()[:2]]
     [('alpha1', 0.025), ('alpha2', 0.001)]
     """
+    from odomcorrupt import export
+
     robot = as_model(model).motion_model
     drive = export.Steady(speed, turn_rate, rate)
     base = export.Base(track_m, wheelbase_m, wheel_radius_m)
