@@ -24,7 +24,6 @@ Tone = Literal["plain", "good", "warning", "bad", "command"]
 _COLOURS = {"good": "\x1b[32m", "warning": "\x1b[33m", "bad": "\x1b[31m", "command": "\x1b[36m", "plain": "\x1b[1m"}
 _RESET = "\x1b[0m"
 
-
 ALWAYS, FIRST, FOUND, USUAL, SPARE = 4, 3, 2, 1, 0
 """Weights of lines: those of less weight are left out first, and those of weight ALWAYS never. FOUND is the weight of
 what was identified and is in the model."""
@@ -88,9 +87,9 @@ class Summary(NamedTuple):
     def below(self, report: str) -> Summary:
         """Return what ends a full report: the verdict and what has to be said first, if not in it; the next command."""
         first, *others = self.lines if self.lines[0].tone != "plain" else [Line("", "")]  # a list has no verdict
-        said = [first, *(one for one in others if one.weight >= FIRST and one.tone != "command")]
-        new = [one for one in said if one.text.split(" (")[0] not in report]
-        return Summary((*new, *(one for one in others if one.tone == "command")), len(report))
+        said = [one for one in (first, *others) if one is first or one.tone == "command" or one.weight >= FIRST]
+        new = (one for one in said if one.tone == "command" or one.text.split(" (")[0] not in report)
+        return Summary(tuple(new), len(report))
 
     def html(self) -> str:
         """Return the summary as a table for a notebook."""

@@ -84,7 +84,9 @@ def check_effect(effect_class: type[Effect]) -> None:
             _check_moments(sample)
             _check_restored(sample)
         else:
-            _check_without_draws(sample)
+            motion = contract_drive(sideways=sample.needs_sideways).motion
+            both = (sample.twist_error(motion, sample.start(stream(seed, 0, sample.name))).f for seed in (1, 2))
+            _require(np.array_equal(*both), sample, "draws, but its kind is not noise: runs share what is systematic")
             if not sample.clock:
                 _check_round_trip(sample)
     _check_identity(effect_class())
@@ -207,12 +209,6 @@ def _check_by_rows(effect: Effect) -> None:
         some = np.arange(0, len(motion), 3)
         same = np.array_equal(own.f(_rows(motion, some), some), effect.twist_error(motion, state).f[some])
         _require(same, effect, "f by single intervals differs from f of the whole motion")
-
-
-def _check_without_draws(effect: Effect) -> None:
-    motion = contract_drive(sideways=effect.needs_sideways).motion
-    one, other = (effect.twist_error(motion, effect.start(stream(seed, 0, effect.name))).f for seed in (1, 2))
-    _require(np.array_equal(one, other), effect, "draws, but its kind is not noise: runs share what is systematic")
 
 
 def _check_seeds(effect: Effect) -> None:
