@@ -173,7 +173,7 @@ def plant(seed: int, seconds: float = 100.0) -> Case:  # noqa: C901, PLR0912, PL
     xyz = np.column_stack((pose[:, :2], 0.0 * pose[:, 0]))
     yaw = pose[:, 2]
     if what == "truth unit":
-        unit, right = float(rng.choice([100.0, 1000.0])), ("unit of the truth", "speed", "travel")
+        unit, right = float(rng.choice([100.0, 1000.0])), ("unit of lengths", "speed", "travel")
         xyz *= unit
     elif what == "truth mirrored":
         xyz, yaw, right = xyz * [1.0, -1.0, 1.0], -yaw, ("left and right exchanged",)

@@ -267,8 +267,14 @@ class Look:
     @cached_property
     def windows(self) -> tuple[Array, Array, tuple[Array, Array]]:
         """The same, but beside positions alone speeds with the odometry's sign, and turns between long chords only."""
-        here, there, times = self.motions
-        return (here, there, times) if self.paths[1].headed else (*_by_speeds(here, there), times)
+        if self.paths[1].headed:
+            return self.motions
+        pair, times = self.motions[:2], self.motions[2]
+        ahead, sign = np.abs(pair[0][:, 1]) < 0.3 * np.abs(pair[0][:, 0]), np.where(pair[0][:, 0] < 0.0, -1.0, 1.0)
+        speeds = [sign * np.hypot(x[:, 0], x[:, 1]) for x in pair]
+        steady = moving(speeds[0]) & _steady(moving(speeds[1]) & ahead)
+        here, there = (np.column_stack((v, 0.0 * v, x[:, 2] * steady)) for v, x in zip(speeds, pair, strict=True))
+        return here, there, times
 
     @cached_property
     def correlations(self) -> Array:
@@ -327,18 +333,6 @@ class Look:
             if max(map(abs, agrees)) > _CLEAR and (one.independent or fault == 0):
                 return fault, one.name
         return None, ""
-
-
-def _by_speeds(here: Array, there: Array) -> tuple[Array, Array]:
-    """Return motions (n, 3) beside positions alone: speeds with the odometry's sign, turns between long chords only."""
-    here, there = here.copy(), there.copy()
-    ahead = np.abs(here[:, 1]) < 0.3 * np.abs(here[:, 0])
-    sign = np.where(here[:, 0] < 0.0, -1.0, 1.0)
-    for one in (here, there):
-        one[:, 0], one[:, 1] = sign * np.hypot(one[:, 0], one[:, 1]), 0.0
-    here[:, 2] *= (steady := moving(here[:, 0]) & _steady(moving(there[:, 0]) & ahead))
-    there[:, 2] *= steady
-    return here, there
 
 
 def _steady(moves: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -891,19 +885,20 @@ def _repeated(look: Look) -> Figures | None:
     return {"count": len(first), "longest": longest, "undo": lambda path: path.only(kept)}
 
 
-def _stands(look: Look) -> Figures | None:
-    """Find windows in which the odometry does not move at all while the truth does."""
-    here, there, (starts, _) = look.motions
-    speed = np.hypot(there[:, 0], there[:, 1])
-    moves = speed > 0.5 * np.percentile(speed, 95.0)
+def _stands(look: Look, i: int) -> Figures | None:
+    """Find windows in which one of the two does not move at all while the other one does."""
+    (here, there), starts = look.motions[:2][:: 1 - 2 * i], look.motions[2][i]
+    moves = (speed := np.hypot(there[:, 0], there[:, 1])) > 0.5 * np.percentile(speed, 95.0)
     still = (np.abs(here) <= 1e-3 * np.percentile(np.abs(here), 95.0, axis=0)).all(axis=1)
-    lost, longest = moves & still, [a for a, b in runs_of(np.asarray(still)) if moves[a:b].sum() * look.window_s > 40.0]
-    lost_s = float(lost.sum()) * look.window_s / 4.0
-    if lost_s < 10.0 or (lost.sum() < 0.2 * moves.sum() and not longest):
+    lost, runs = moves & still, runs_of(np.asarray(still))
+    lost_s, share = float(lost.sum()) * look.window_s / 4.0, float(lost.sum()) / moves.sum()
+    if lost_s < 10.0 or (share < 0.2 and all(moves[a:b].sum() * look.window_s <= 40.0 for a, b in runs)):
         return None
-    middle_s = starts + look.window_s / 2.0
-    undo = lambda path: path.only(np.interp(path.t_s, middle_s, lost, 0.0, 0.0) < 0.5)  # noqa: E731
-    return {"lost": f"{lost_s:.0f}", "share": f"{lost.sum() / moves.sum():.0%}", "undo": undo}
+    for a, b in runs:  # a pose that stays is wrong also while the other one rests
+        lost[a:b] |= lost[a:b].any()
+    middle_s, origin = starts + look.window_s / 2.0, int(look.paths[0].stamps_ns[0])
+    undo = lambda path: path.only(np.interp(path.seconds_since(origin), middle_s, lost) < 0.5)  # noqa: E731
+    return {"i": i, "lost": f"{lost_s:.0f}", "share": f"{share:.0%}", "undo": undo}
 
 
 def _turn_between(path: Samples) -> float:
@@ -940,12 +935,16 @@ def _turns_otherwise(look: Look) -> Figures | None:
     return None if few or abs(corr) > _UNCLEAR or look.scales[0].spread > 2.0 * _ALIKE else {"corr": corr}
 
 
-def _truth_unit(look: Look) -> Figures | None:
+def _unit_of_lengths(look: Look) -> Figures | None:
+    """Find lengths in another unit than metres: one moves so fast as no robot does, the other so many times slower."""
     (k, *_), speeds = look.scales[0], [own.speed_mps for own in look.own]
-    unit = next((name for name, per_m in UNITS.items() if look.scales[0].sure and abs(k / per_m - 1.0) < 0.1), None)
-    if unit is None or speeds[1] < _ROBOT_MPS or speeds[0] > _ROBOT_MPS:
+    i, far = int(k > 1.0), max(k, 1.0 / k) if look.scales[0].sure else 1.0
+    unit = next((name for name, per_m in UNITS.items() if abs(far / per_m - 1.0) < 0.1), None)
+    # odometry that is only somewhat too fast is rather of another wheel or gear
+    if unit is None or speeds[i] < (_FAST_MPS, _ROBOT_MPS)[i] or speeds[1 - i] > _ROBOT_MPS:
         return None
-    return {"i": 1, "far": k, "unit": unit, "speed": speeds[1], "undo": lambda p: replace(p, xyz=p.xyz / UNITS[unit])}
+    undo = lambda path: replace(path, xyz=path.xyz / UNITS[unit])  # noqa: E731
+    return {"i": i, "far": f"{far:.0f}", "unit": unit, "speed": speeds[i], "undo": undo}
 
 
 def _ratios(look: Look, travel: bool, turn: bool, *, alike: bool = False) -> Figures | None:  # noqa: FBT001
@@ -1045,8 +1044,8 @@ PATTERNS = (
             "are)", "clocks that are not synchronised; one of the files began later", "give --truth-shift {shift}", "",
             _late),
     Pattern("stands still", "{who} stands still for {lost} s while {other} moves ({share} of its motion)",
-            "messages repeated by a driver that lost its wheels; a cable; wheels that are lifted", _RECORD,
-            "these stretches are left out", _stands),
+            "a driver that lost its wheels, or a tracker its target, and repeats a message; a cable; wheels lifted",
+            _RECORD, "these stretches are left out", lambda look: _stands(look, 0) or _stands(look, 1)),
     Pattern("turns too far",
             "{who} turns by {most} deg and more between messages, {other} by {usual}: beyond 180 deg turns are lost",
             "{causes}", "give lengths in metres and angles in radians; " + _RECORD, "", _turns_too_far),
@@ -1079,9 +1078,9 @@ PATTERNS = (
     Pattern("sideways", "{who} {how} {other}; forwards they agree",
             "two wheels are exchanged; the sideways part of the kinematics has another sign or factor, or is left out",
             "mend the sideways part", _UNDONE, _aside),
-    Pattern("unit of the truth", "{who} travels {far} times as far as {other}, usually at {speed} m/s",
-            "{unit} for metres", "give metres (columns x_mm, y_cm, z_ft name their unit)", "taken as {unit}",
-            _truth_unit),
+    Pattern("unit of lengths", "{who} travels {far} times as far as {other}, usually at {speed} m/s",
+            "{unit} for metres", "give metres (columns x_mm, y_cm, z_ft name their unit)",
+            "taken as {unit}, and the model is of metres", _unit_of_lengths),
     Pattern("wheel radius", "{who} travels and turns {travels} the truth, by the same factor",
             "wheel radius, gear ratio or ticks per turn wrong by this factor{hint}", "`wheel_radius` x {v}", _KEPT,
             lambda look: _ratios(look, True, True, alike=True)),
