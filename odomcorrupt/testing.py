@@ -85,8 +85,8 @@ def check_effect(effect_class: type[Effect]) -> None:
             _check_restored(sample)
         else:
             motion = contract_drive(sideways=sample.needs_sideways).motion
-            both = (sample.twist_error(motion, sample.start(stream(seed, 0, sample.name))).f for seed in (1, 2))
-            _require(np.array_equal(*both), sample, "draws, but its kind is not noise: runs share what is systematic")
+            a, b = (sample.twist_error(motion, sample.start(stream(seed, 0, sample.name))).f for seed in (1, 2))
+            _require(np.array_equal(a, b), sample, "draws, but its kind is not noise: runs share what is systematic")
             if not sample.clock:
                 _check_round_trip(sample)
     _check_identity(effect_class())

@@ -195,9 +195,8 @@ class TopicTwist:
         misfit = np.cumsum(np.concatenate((self._misfit[:, None], terms), axis=1), axis=1)
         self._misfit, (in_body, in_odom, motion) = misfit[:, -1], misfit[:, 1:]
         # as the latest message decides that tells them apart
-        decides = [
-            (_FITS * bad > good) & (bad > _MISFIT * motion) for bad, good in ((in_body, in_odom), (in_odom, in_body))
-        ]
+        pairs = (in_body, in_odom), (in_odom, in_body)
+        decides = [(_FITS * bad > good) & (bad > _MISFIT * motion) for bad, good in pairs]
         latest = np.maximum.accumulate(np.where(decides[0] | decides[1], np.arange(1, len(rate) + 1), 0))
         axes = np.concatenate(([self.odom_axes], decides[0]))[latest]
         self.odom_axes = bool(axes[-1])

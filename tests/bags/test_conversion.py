@@ -347,9 +347,8 @@ def test_a_message_without_an_edge_is_the_message_of_the_other_edges(encoding, o
             continue
         # the numbers of a transform are those of its place in the message as it was
         read = STORES[1].deserialize_ros1 if encoding == "ros1" else STORES[2].deserialize_cdr
-        found = [
-            (int(t.header.stamp.sec) - 5, (t.header.frame_id, t.child_frame_id)) for t in read(after, TF).transforms
-        ]
+        edges = read(after, TF).transforms
+        found = [(int(t.header.stamp.sec) - 5, (t.header.frame_id, t.child_frame_id)) for t in edges]
         assert found == left
         assert all(t.transform.translation.x == t.header.stamp.sec - 5 for t in read(after, TF).transforms)
         if [i for i, _ in left] == list(range(len(left))):

@@ -55,9 +55,8 @@ def test_a_step_back_in_time_and_numbers_that_are_none_are_refused():
 
 
 def message(x, yaw, stamp):
-    pose = Names(
-        position=Names(x=x, y=0.0, z=0.2), orientation=Names(x=0.0, y=0.0, z=np.sin(yaw / 2), w=np.cos(yaw / 2))
-    )
+    turned = Names(x=0.0, y=0.0, z=np.sin(yaw / 2), w=np.cos(yaw / 2))
+    pose = Names(position=Names(x=x, y=0.0, z=0.2), orientation=turned)
     twist = Names(linear=Names(x=0.5, y=0.0, z=0.0), angular=Names(x=0.0, y=0.0, z=0.1))
     return Names(
         header=Names(stamp=stamp, frame_id="odom"), child_frame_id="base_link",

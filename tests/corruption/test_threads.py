@@ -108,9 +108,7 @@ def test_what_is_lost_of_a_damaged_bag_is_the_same(long, tmp_path):
     at = len(data) // 2
     data[at : at + 100] = bytes(100)
     (tmp_path / "damaged.mcap").write_bytes(data)
-    made = [
-        corrupt(tmp_path / "damaged.mcap", tmp_path / f"{threads}.mcap", threads, recover=True) for threads in (1, 3)
-    ]
+    made = [corrupt(tmp_path / "damaged.mcap", tmp_path / f"{n}.mcap", n, recover=True) for n in (1, 3)]
     assert [*made[0].values()] == [*made[1].values()]
 
 

@@ -263,9 +263,8 @@ def test_a_filter_updated_once_per_message_is_taken_out_at_jittered_stamps(of_in
     for x, d in zip(shown[1:] * usual / per[1:], per[1:], strict=True):
         filtered.append(filtered[-1] + (x - filtered[-1]) * d / (d + tau))
     turned = np.array(filtered) * per
-    motion = motion_of(
-        np.concatenate(([0.0], np.cumsum(dt))), accumulate(np.zeros(3), Increments(dt, 0.0 * dt, turned))
-    )
+    xyt = accumulate(np.zeros(3), Increments(dt, 0.0 * dt, turned))
+    motion = motion_of(np.concatenate(([0.0], np.cumsum(dt))), xyt)
     lag = effect_from_values("channel_lag", {"tau": tau, "channel": "yaw"})
     assert np.cumsum(lag.restored(motion).omega * dt) == pytest.approx(np.cumsum(shown * usual), abs=1e-9)
 
@@ -304,9 +303,7 @@ T_S = np.arange(N) * 0.02
 
 
 def clean_path():
-    return accumulate(
-        np.array([1.0, 2.0, 0.5]), Increments(np.full(N - 1, 0.01), np.zeros(N - 1), np.full(N - 1, 0.004))
-    )
+    return accumulate(np.array([1.0, 2.0, 0.5]), Increments(*(np.full(N - 1, each) for each in (0.01, 0.0, 0.004))))
 
 
 def corrupted(name, values, track=0.4):

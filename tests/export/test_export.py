@@ -171,9 +171,8 @@ def test_amcls_own_law_at_its_own_step_comes_back():
     own = Noise("quadratic", k, Step(0.25, 0.2))
     assert [*amcl_alphas(own, 0.25, 0.2, drive=DRIVE).values()][:4] == pytest.approx([0.2, 0.1, 0.3, 0.15])
     omni = Noise("omni", Coefficients(0.2, 0.1, 0.3, 0.15, across_trans=0.05), Step(0.25, 0.2))
-    assert [*amcl_alphas(omni, 0.25, 0.2, drive=DRIVE, omni=True).values()] == pytest.approx(
-        [0.2, 0.1, 0.3, 0.15, 0.05]
-    )
+    alphas = amcl_alphas(omni, 0.25, 0.2, drive=DRIVE, omni=True)
+    assert [*alphas.values()] == pytest.approx([0.2, 0.1, 0.3, 0.15, 0.05])
     assert '"nav2_amcl::OmniMotionModel"' in amcl_snippet(MotionModel(omni), 0.25, 0.2, "rolling", DRIVE).text
 
 

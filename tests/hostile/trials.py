@@ -143,9 +143,8 @@ def _library_content(path: Path) -> list[tuple]:
         ]  # fmt: skip
     with path.open("rb") as stream:
         records = list(StreamReader(stream, validate_crcs=True).records)
-    seen += [
-        (EXTRA, one.name, one.media_type, one.log_time, one.data) for one in records if isinstance(one, Attachment)
-    ]
+    extra = [one for one in records if isinstance(one, Attachment)]
+    seen += [(EXTRA, one.name, one.media_type, one.log_time, one.data) for one in extra]
     return seen + [(EXTRA, one.name, one.metadata) for one in records if isinstance(one, Metadata)]
 
 

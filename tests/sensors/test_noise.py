@@ -89,9 +89,8 @@ def test_an_imu_has_the_noise_of_its_file_and_nothing_else_changes(densities, fi
         assert error.std(axis=0) == pytest.approx(max(white) * np.sqrt(200.0), rel=0.06)
     else:
         assert np.all(error[0] == 0.0)
-        assert np.diff(error, axis=0).std(axis=0) == pytest.approx(
-            max(walk) * np.sqrt(np.diff(times_s).mean()), rel=0.06
-        )
+        usual = max(walk) * np.sqrt(np.diff(times_s).mean())
+        assert np.diff(error, axis=0).std(axis=0) == pytest.approx(usual, rel=0.06)
     for (_, _, one), (_, _, other), numbers in zip(before["/imu"], after["/imu"], error, strict=True):
         for axis, number in zip("xyz", numbers, strict=True):
             setattr(getattr(other, field), axis, getattr(getattr(other, field), axis) - number)

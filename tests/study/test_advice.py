@@ -184,9 +184,8 @@ def on_the_way(recording, edge_s=5.0):
     first_s, last_s = recording.odometry_s[[0, -1]] + (edge_s, -edge_s)
 
     def within(trajectory):
-        kept = np.abs(trajectory.seconds_since(recording.origin_ns) - 0.5 * (first_s + last_s)) < 0.5 * (
-            last_s - first_s
-        )
+        t_s = trajectory.seconds_since(recording.origin_ns)
+        kept = (first_s < t_s) & (t_s < last_s)
         return Trajectory(trajectory.stamps_ns[kept], trajectory.xyt[kept])
 
     odometry = within(recording.odometry)

@@ -43,9 +43,8 @@ def test_an_expression_of_numbers_alone_is_held_while_everything_else_is_fitted(
 @pytest.mark.slow
 def test_a_wheel_that_scrubs_in_turns_to_one_side_is_found_as_such():
     reported, track_m = wander(315, 200.0), 0.4
-    lost = (
-        (reported.ds_m - 0.5 * track_m * reported.dtheta_rad) * 0.05 * np.maximum(-reported.dtheta_rad * RATE_HZ, 0.0)
-    )
+    left_m = reported.ds_m - 0.5 * track_m * reported.dtheta_rad
+    lost = left_m * 0.05 * np.maximum(-reported.dtheta_rad * RATE_HZ, 0.0)
     driven = Increments(reported.ds_m - 0.5 * lost, reported.dl_m, reported.dtheta_rad + lost / track_m)
     run = recording(driven, accumulate(np.zeros(3), reported), truth_mm=1.0, truth_rad=0.001, seed=315)
     learned = learn([replace(run, track_m=track_m)])
@@ -84,9 +83,8 @@ def test_a_strip_is_refined_to_where_it_lies_wheel_by_wheel():
     found = basis_dependences(fitted)[0]
     assert (found.regressor, found.wheels) == ("position", "wheels")
     strip = run.answer["parameters"]
-    away = np.exp(-1j * strip["direction"]) * (
-        run.truth_xyt[:, 0] - strip["x"] + 1j * (run.truth_xyt[:, 1] - strip["y"])
-    )
+    apart = run.truth_xyt[:, :2] - (strip["x"], strip["y"])
+    away = np.exp(-1j * strip["direction"]) * (apart @ [1.0, 1j])
     angle, x, y, half = found.term.function.shape
     found_away = np.cos(angle) * (run.truth_xyt[:, 0] - x) + np.sin(angle) * (run.truth_xyt[:, 1] - y)
     wet = np.abs(away.imag) < 0.5 * strip["width"]

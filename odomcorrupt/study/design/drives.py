@@ -127,9 +127,8 @@ def most_useful(drives: Drives, first: Sequence[Gain], beside: Sequence[Gain] = 
 
     def answered_nats(drive: Field) -> float:
         nats = [np.maximum([gain(drive) for gain in gains], 0.0) for gains in (first, beside) if gains]
-        return float(
-            sum(np.mean(n / (n + ENOUGH_NATS)) * w for n, w in zip(nats, (1.0, _SECONDARY_WEIGHT), strict=False))
-        )
+        shares = [float(np.mean(n / (n + ENOUGH_NATS))) for n in nats]
+        return sum(share * w for share, w in zip(shares, (1.0, _SECONDARY_WEIGHT), strict=False))
 
     def answered(drive: Field) -> int:
         return sum(gain(drive) >= ENOUGH_NATS for gain in first or beside)

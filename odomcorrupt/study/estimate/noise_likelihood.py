@@ -14,7 +14,7 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from scipy.linalg import blas
+from scipy.linalg import blas, block_diag
 from scipy.optimize import lsq_linear
 from scipy.stats import chi2
 
@@ -327,11 +327,7 @@ class NoiseLikelihood:
     def _share_slopes(self, free: Array) -> Array:
         """Return the derivatives (m, bands) of every band's weight by every parameter."""
         coefficients, truth = self._unpack(free)
-        own, of_truth = self._components.share_slopes(coefficients), truth_weights(truth)
-        slopes = np.zeros((len(own) + len(of_truth), own.shape[1] + len(of_truth)))
-        slopes[: len(own), : own.shape[1]] = own
-        slopes[len(own) :, own.shape[1] :] = 2.0 * np.diag(of_truth)
-        return slopes
+        return np.asarray(block_diag(self._components.share_slopes(coefficients), 2.0 * np.diag(truth_weights(truth))))
 
     def _unpack(self, free: Array) -> tuple[Array, TruthNoise]:
         """Return coefficients (8,) and truth noise; a coefficient at its lower bound is exactly zero."""
@@ -340,9 +336,8 @@ class NoiseLikelihood:
         log_k = free[: len(active)]
         coefficients[active] = np.where(log_k > _LOW + 0.1, np.exp(log_k), 0.0)
         xy, yaw, random_walk = np.exp(free[len(active) :])
-        return coefficients, TruthNoise(
-            float(xy), float(yaw), float(random_walk) if random_walk > _NO_RANDOM_WALK else 0.0
-        )
+        walks = float(random_walk) if random_walk > _NO_RANDOM_WALK else 0.0
+        return coefficients, TruthNoise(float(xy), float(yaw), walks)
 
 
 def _best_step(slope: Array, information: Array, low: Array, high: Array) -> Array:

@@ -328,17 +328,14 @@ def during(fit: Fit, stretches: Sequence[Event]) -> NDArray[np.bool_]:
     """Return a mask (K,) of the fit's intervals inside the given stretches."""
     intervals, run = fit.problem.intervals, fit.problem.run
     name = np.array([recording.name for recording in fit.problem.recordings])[run]
-    inside = [
-        (name == e.recording) & (intervals.start_s >= e.start_s) & (intervals.end_s <= e.end_s) for e in stretches
-    ]
+    first, last = intervals.start_s, intervals.end_s
+    inside = [(name == e.recording) & (first >= e.start_s) & (last <= e.end_s) for e in stretches]
     return np.any([np.zeros(len(intervals), dtype=bool), *inside], axis=0)
 
 
 def _words(slips: Sequence[Event], track_m: float | None) -> dict[str, str]:
     """Return the `sides` and `heading` parameters of slip_burst: which wheels slip, and what measures the heading."""
-    yaw, along, turn, slip = (
-        np.array([getattr(e, n) for e in slips]) for n in ("yaw_rad", "along_m", "turn_rad", "slip")
-    )
+    yaw, along, turn, slip = np.array([(e.yaw_rad, e.along_m, e.turn_rad, e.slip) for e in slips]).T
     single = np.zeros(len(slips)) if track_m is None else np.abs(yaw) * track_m > _TURNS * np.abs(along)
     sides = "any" if np.mean(single) > _SEVERAL else "both"
     shared = np.abs(slip * turn).sum()

@@ -91,9 +91,7 @@ class MotionSmoother:
         headings = [path.heading_at(part, whole.origin_ns) for path, part in means]
         if side == "odometry":
             own = np.split(whole.odometry.heading_at(middle, whole.origin_ns), np.cumsum([*map(len, headings)])[:-1])
-            measured = [
-                (r.truth_s[0] <= part) & (part <= r.truth_s[-1]) for r, part in _by_truth(self.stretches, middle)
-            ]
+            measured = [(r.truth_s[0] <= t) & (t <= r.truth_s[-1]) for r, t in _by_truth(self.stretches, middle)]
             parts = [part for _, part in means]
             headings = [_without_noise(*each) for each in zip(headings, own, parts, measured, strict=True)]
         self._theta = np.concatenate(headings)
@@ -166,9 +164,8 @@ class _Odometry:
     def is_of(self, recording: Recording) -> bool:
         """Return whether a recording has this odometry, its stamps at most shifted."""
         own, other = self._recording.odometry, recording.odometry
-        if len(own) != len(other) or self._recording.track_m != recording.track_m:
-            return False
-        return bool(np.ptp(own.stamps_ns - other.stamps_ns) == 0) and np.array_equal(own.xyt, other.xyt)
+        alike = len(own) == len(other) and self._recording.track_m == recording.track_m
+        return alike and bool(np.ptp(own.stamps_ns - other.stamps_ns) == 0) and np.array_equal(own.xyt, other.xyt)
 
     @cached_property
     def motion(self) -> Motion:

@@ -840,9 +840,7 @@ def _one_way(look: Look, axis: int) -> Figures | None:
         courses, seen, origin = [], np.ones(len(here), dtype=bool), int(look.paths[0].stamps_ns[0])
         for path, at_s in zip(look.paths, look.windows[2], strict=True):
             around_s = at_s + look.window_s * np.arange(-1.0, 2.0)[:, None]
-            chords = np.diff(
-                np.interp(around_s, path.seconds_since(origin), path.xyz[:, 0] + 1j * path.xyz[:, 1]), axis=0
-            )
+            chords = np.diff(np.interp(around_s, path.seconds_since(origin), path.xyz[:, :2] @ [1.0, 1j]), axis=0)
             courses.append(np.abs(np.angle(chords[1] * np.conj(chords[0]))))
             seen &= moving(np.abs(chords).min(axis=0))
         own, real = (course[seen] for course in courses)
@@ -887,7 +885,7 @@ def _repeated(look: Look) -> Figures | None:
 
 def _stands(look: Look, i: int) -> Figures | None:
     """Find windows in which one of the two does not move at all while the other one does."""
-    (here, there), starts = look.motions[:2][:: 1 - 2 * i], look.motions[2][i]
+    here, there = look.motions[:2][:: 1 - 2 * i]
     moves = (speed := np.hypot(there[:, 0], there[:, 1])) > 0.5 * np.percentile(speed, 95.0)
     still = (np.abs(here) <= 1e-3 * np.percentile(np.abs(here), 95.0, axis=0)).all(axis=1)
     lost, runs = moves & still, runs_of(np.asarray(still))
@@ -896,9 +894,30 @@ def _stands(look: Look, i: int) -> Figures | None:
         return None
     for a, b in runs:  # a pose that stays is wrong also while the other one rests
         lost[a:b] |= lost[a:b].any()
-    middle_s, origin = starts + look.window_s / 2.0, int(look.paths[0].stamps_ns[0])
-    undo = lambda path: path.only(np.interp(path.seconds_since(origin), middle_s, lost) < 0.5)  # noqa: E731
-    return {"i": i, "lost": f"{lost_s:.0f}", "share": f"{share:.0%}", "undo": undo}
+    return {"i": i, "lost": f"{lost_s:.0f}", "share": f"{share:.0%}", "undo": _without(look, i, lost)}
+
+
+def _without(look: Look, i: int, lost: NDArray[np.bool_]) -> Callable[[Samples], Samples]:
+    """Return the function that leaves some windows (n,), and the end next to them, out of one of the two."""
+    middle_s, origin = look.motions[2][i] + look.window_s / 2.0, int(look.paths[0].stamps_ns[0])
+    return lambda path: path.only(np.interp(path.seconds_since(origin), middle_s, lost) < 0.5)
+
+
+def _one_heading(look: Look) -> Figures | None:
+    """Find headings of the odometry that stay the same for long while it travels and the truth turns."""
+    here, there, (starts, _) = look.motions
+    turns = moving(there[:, 2]) & moving(np.hypot(here[:, 0], here[:, 1]))
+    runs = runs_of(np.asarray(np.abs(here[:, 2]) < 1e-6))
+    a, b = max(runs, key=lambda run: turns[run[0] : run[1]].sum(), default=(0, 0))
+    # noise of the truth's headings does not add up, and a gyro's dead band has no usual turns
+    if (
+        turns[a:b].sum() * look.window_s < 40.0
+        or min(_turned(look.paths[0]), np.ptp(there[a:b, 2].cumsum()) / 4.0) < 1.0
+    ):
+        return None
+    lost = (starts >= starts[a]) & (starts <= starts[b - 1])
+    when = f"from {starts[a]:.0f} s to {starts[b - 1] + look.window_s:.0f} s"
+    return {"when": when, "undo": _without(look, 0, lost)}
 
 
 def _turn_between(path: Samples) -> float:
@@ -1046,6 +1065,9 @@ PATTERNS = (
     Pattern("stands still", "{who} stands still for {lost} s while {other} moves ({share} of its motion)",
             "a driver that lost its wheels, or a tracker its target, and repeats a message; a cable; wheels lifted",
             _RECORD, "these stretches are left out", lambda look: _stands(look, 0) or _stands(look, 1)),
+    Pattern("one heading", "{who} has one heading {when} while it travels and {other} turns",
+            "a gyro that died; a steering angle or yaw rate that stays 0; orientation no longer filled in", _RECORD,
+            "this stretch is left out", _one_heading),
     Pattern("turns too far",
             "{who} turns by {most} deg and more between messages, {other} by {usual}: beyond 180 deg turns are lost",
             "{causes}", "give lengths in metres and angles in radians; " + _RECORD, "", _turns_too_far),

@@ -123,9 +123,7 @@ def _episodes(stamps_s: Array, poor: NDArray[np.bool_]) -> list[str]:
 def _outages(stamps_s: Array) -> list[str]:
     steps = np.diff(stamps_s)
     out = steps[steps > max(_OUTAGE_S, _OUTAGE_STEPS * float(np.median(steps)))] if len(steps) else steps
-    if not len(out):
-        return []
-    return [f"{len(out)} {'outage' if len(out) == 1 else 'outages'}, {out.sum():.0f} s without any fix"]
+    return [f"{len(out)} outage{'s' * (len(out) > 1)}, {out.sum():.0f} s without any fix"] if len(out) else []
 
 
 _A_M = 6378137.0

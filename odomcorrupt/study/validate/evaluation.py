@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass, replace
+from itertools import accumulate
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -72,7 +73,9 @@ def random_covariance(random: Sequence[Effect], windows: Intervals, motion: Moti
 def _of_gain(gain: RandomCoefficient, windows: Intervals, motion: Motion) -> Array:
     moved = windows.carried(gain.f * motion.dt_s[:, None])
     keep = gain.keep[windows.source] ** windows.share
-    variance = _variances(gain)[windows.source]
+    steps = zip(gain.keep.tolist(), gain.kick.tolist(), strict=True)
+    each = accumulate(steps, lambda variance, step: step[0] * step[0] * variance + step[1], initial=gain.start)
+    variance = np.array([*each][1:])[windows.source]
     last = np.zeros(len(keep), dtype=bool)
     last[np.concatenate((windows.first[1:] - 1, [len(keep) - 1]))] = True
     later = np.zeros_like(moved)
@@ -86,15 +89,6 @@ def _of_gain(gain: RandomCoefficient, windows: Intervals, motion: Motion) -> Arr
     both = moved[:, None] * (later + 0.5 * moved)[None]
     outer = variance * (both + np.swapaxes(both, 0, 1))
     return np.ascontiguousarray(np.moveaxis(np.add.reduceat(outer, windows.first, axis=2), 2, 0))
-
-
-def _variances(gain: RandomCoefficient) -> Array:
-    """Return the variance (n,) of the gain in each interval."""
-    variance, found = gain.start, []
-    for keep, kick in zip(gain.keep.tolist(), gain.kick.tolist(), strict=True):
-        variance = keep * keep * variance + kick
-        found.append(variance)
-    return np.array(found)
 
 
 _MIN_NATS_PER_INTERVAL = 0.3

@@ -235,8 +235,7 @@ def _long_drift(measured: Sequence[Recording], drawn: Sequence[Sequence[Recordin
     if after_s < _MIN_LONG_S or not drawn:
         return None
     each = [_mean_square(one, after_s) for one in drawn]
-    squares = (_mean_square(measured, after_s), float(np.mean(each)), min(each))
-    return LongDrift(after_s, *(sqrt(square) for square in squares))
+    return LongDrift(after_s, *map(sqrt, (_mean_square(measured, after_s), float(np.mean(each)), min(each))))
 
 
 def _mean_square(recordings: Sequence[Recording], after_s: float = WINDOW_S) -> float:

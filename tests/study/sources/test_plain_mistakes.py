@@ -203,6 +203,29 @@ def test_one_that_stands_while_the_other_moves_is_left_out_there(headed, at, unt
     assert np.sum(left_s < 38.0) + np.sum(left_s > until_s + 2.0) == np.sum(t_s < 38.0) + np.sum(t_s > until_s + 2.0)
 
 
+@pytest.mark.parametrize("headed", [True, False])
+@pytest.mark.parametrize("path_goes_on", [True, False])
+@pytest.mark.parametrize(("from_s", "until_s"), [(20.0, 70.0), (70.0, 130.0)])
+def test_a_heading_that_is_stuck_for_a_while_is_left_out_there(from_s, until_s, path_goes_on, headed):
+    rows = driven(11)
+    path = trajectory(rows)
+    stuck = (path.t_s > from_s) & (path.t_s < until_s)
+    bent = trajectory(rows * np.where(stuck[1:, None], [1.0, 1.0, 0.0], 1.0))
+    wrong = replace(path, yaw_rad=np.where(stuck, path.yaw_rad[stuck][0], path.yaw_rad)) if path_goes_on else bent
+    found = look_at(wrong, real(rows, headed=headed), "one heading")
+    left_s = found.odometry.t_s
+    assert not np.any((left_s > from_s + 4.0) & (left_s < until_s - 4.0))
+    assert np.sum(left_s < from_s - 4.0) == np.sum(path.t_s < from_s - 4.0)
+    assert found.truth.headed == headed
+
+
+def test_straight_courses_beside_noisy_headings_are_no_stuck_heading():
+    rows = driven(11)
+    rows[1000:4000] = 0.3 / HZ, 0.0, 0.0
+    seen = real(rows)
+    look_at(trajectory(rows), replace(seen, yaw_rad=np.random.default_rng(3).normal(seen.yaw_rad, 0.1)))
+
+
 @pytest.mark.parametrize(("every", "repeats"), [(200, 30), (6000, 1200)])
 def test_poses_that_are_repeated_and_then_jump(every, repeats):
     rows = driven(11)
@@ -467,21 +490,15 @@ def test_a_truth_that_is_silent_for_a_minute_is_compared_where_it_is_seen(drives
     assert alike.speed.max() > cross_correlation(drive.odometry, truth, 10.0).speed.max() - 0.02
 
 
-ROUTES = {
-    "straight": (Segment(0.4, 0.0, 60.0),),
-    "circle": (Segment(0.4, 0.3, 60.0),),
-    "crawl": (Segment(0.03, 0.0, 60.0),),
-    "spin": (Segment(0.0, 0.5, 60.0),),
-    "shuttle": "shuttle",
-    "slalom": "slalom",
-}
+STEADY = {"straight": (0.4, 0.0), "circle": (0.4, 0.3), "crawl": (0.03, 0.0), "spin": (0.0, 0.5)}
 WORST = Tracker(rate_hz=5.0, noise_m=0.05, noise_rad=0.05, dropouts_per_min=4.0, dropout_mean_s=3.0, wander_m=0.05)
 
 
 @pytest.mark.parametrize("headed", [True, False])
-@pytest.mark.parametrize("route", ROUTES)
+@pytest.mark.parametrize("route", [*STEADY, "shuttle", "slalom"])
 def test_dull_drives_with_a_bad_truth_are_accepted(route, headed):
-    seen = as_recording(simulate(45, None, duration_s=60.0, route=ROUTES[route], truth=WORST, drive_type="skid"))
+    way = (Segment(*STEADY[route], 60.0),) if route in STEADY else route
+    seen = as_recording(simulate(45, None, duration_s=60.0, route=way, truth=WORST, drive_type="skid"))
     check(seen.odometry, seen.truth, headed=headed)
 
 
