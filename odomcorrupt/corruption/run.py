@@ -325,5 +325,4 @@ def _added(transform: Transform) -> Mapping[str, int]:
 
 def provenance(model: MotionModel, **numbers: int) -> dict[str, str]:
     """Return what is noted in an output: version, model, and numbers such as seed and run."""
-    texts = {name: str(number) for name, number in numbers.items()}
-    return {"version": odomcorrupt.__version__, **texts, "model": format_model(model)}
+    return {"version": odomcorrupt.__version__, **{k: str(n) for k, n in numbers.items()}, "model": format_model(model)}

@@ -36,9 +36,6 @@ _ROUNDS = 6
 _NEAR, _SMALL = 2.0, 0.1
 """Step sizes in standard errors below which the robust weights are kept, and below which the iteration ends."""
 
-_FIRM, _FACTORS = 0.2, (0.3, 5.0)
-"""Ratio of successive steps above which the next one is scaled by their secant, and limits of its factor."""
-
 
 class NextStart(NamedTuple):
     """Parameters after the last step of a fit: the start of the next one."""
@@ -211,7 +208,6 @@ def fit_problem(
     free = np.array(free_clocks if free_clocks is not None else [(False, False)] * len(recordings))
     own_free = led(free, leaders)
     weights, weighted = (None, problem) if weights_of is None else (weights_of.noise.weights, weights_of.problem)
-    made = np.zeros(0), np.zeros(0)
     for i in range(_ROUNDS):
         problem = problem.at(effects, clocks) if i else problem
         if weights is not None:
@@ -222,9 +218,6 @@ def fit_problem(
         start, weighted = noise.free, problem
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
         whole = noise.theta if held is None else _held_step(noise, begun, effects, held)
-        if not free.any() and len(made[0]) == len(whole):  # of a clock, the likelihood may have several maxima
-            whole = _extrapolated(whole, *made)
-        made = noise.theta, whole
         effects, clocks = moved(effects, whole), _moved_clocks(clocks, own_free, whole)
         clocks = tuple(clocks[leader] for leader in leaders)
         step = _made(problem.effects, effects, whole)
@@ -262,18 +255,6 @@ def _held_step(noise: NoiseFit, begun: Sequence[Effect], now: Sequence[Effect], 
     precision = np.diag(np.append(held**-2.0, np.zeros(len(away) - len(held))))
     normal = pseudo_inverse(noise.theta_covariance)
     return pseudo_inverse(normal + precision) @ (normal @ noise.theta - precision @ away)
-
-
-def _extrapolated(step: Array, before: Array, made: Array) -> Array:
-    """Return a step (q,) scaled by the secant of each parameter: where the steps reach zero.
-
-    Effects that round or accumulate are not undone exactly, so that each step goes the same fraction too far or not far
-    enough.
-
-    before, made : (q,) the step before it, as computed and as applied
-    """
-    factor = np.divide(made, before - step, out=np.ones_like(step), where=np.abs(step) > _FIRM * np.abs(before))
-    return step * np.clip(factor, *_FACTORS)
 
 
 def _fitted_noise(
