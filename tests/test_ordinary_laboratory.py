@@ -117,9 +117,8 @@ def test_verdicts_follow_the_protocol():
     assert not verdicts.right(_row("channel_lag", [("time_offset", 0.99)]))
     assert verdicts.right(_row("channel_lag", [("turn_lag", 0.5)]))
     assert verdicts.harmed(_row("time_offset", [], after_m=0.06))
-    assert verdicts.refusals(_row("time_offset", [], uses={"batch": "exit 1: no", "correct": ""})) == [
-        "batch: exit 1: no"
-    ]
+    row = _row("time_offset", [], uses={"batch": "exit 1: no", "correct": ""})
+    assert verdicts.refusals(row) == ["batch: exit 1: no"]
 
 
 def test_an_event_is_found_by_its_time():

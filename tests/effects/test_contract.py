@@ -38,9 +38,8 @@ def test_every_effect_is_explained(name):
 
 
 def test_a_users_expression_keeps_the_contract_too():
-    check_effect(
-        type(user_effect("bumps", "yaw += k * v * abs(omega); along += -c * abs(v) * a", {"k": 0.1, "c": 0.02}))
-    )
+    text = "yaw += k * v * abs(omega); along += -c * abs(v) * a"
+    check_effect(type(user_effect("bumps", text, {"k": 0.1, "c": 0.02})))
     check_effect(type(user_effect("waves", "across += k * v * sin(w * x)", {"k": 0.01, "w": 3.0})))
 
 

@@ -33,9 +33,8 @@ def odometry(stamps_ns, xyt, topic="/odom"):
 def imu(stamps_ns, rates, topic="/imu/data"):
     nine, level = np.zeros(9), rosmessages.floats(2, "Quaternion", turned(0.0))
     for stamp, rate in zip(stamps_ns, rates, strict=True):
-        message = new(
-            "sensor_msgs/Imu", header(stamp, "imu"), level, nine, vector(*rate), nine, vector(0, 0, 9.8), nine
-        )
+        values = level, nine, vector(*rate), nine, vector(0, 0, 9.8), nine
+        message = new("sensor_msgs/Imu", header(stamp, "imu"), *values)
         yield int(stamp), topic, message
 
 

@@ -141,6 +141,5 @@ def test_real_browser_shows_and_works_the_page_at_every_width(page, comparison, 
     assert tab.complaints == []
     tab.show(tmp_path / "page.html", 1280, scripts=False)
     assert tab.run("[...document.images].every((one) => one.complete && one.clientHeight > 100)")
-    assert tab.run(
-        "document.querySelector('#explorer').hidden && document.querySelector('noscript p').clientHeight > 0"
-    )
+    shown = "document.querySelector('noscript p').clientHeight > 0"
+    assert tab.run(f"document.querySelector('#explorer').hidden && {shown}")

@@ -206,14 +206,12 @@ def test_a_car_that_slows_down_for_tight_bends_is_guessed_too():
     # at speed its curvature is 0.15 per metre at most; at its stop, in slow bends, 0.55
     t_s = np.arange(200 * 50) / 50.0 % 20.0
     v = np.interp(t_s, [0.0, 2.0, 8.0, 10.0, 20.0], [0.25, 1.0, 1.0, 0.25, 0.25])
-    curvature = np.interp(
-        t_s, [0.0, 2.0, 5.0, 8.0, 10.0, 11.5, 18.5, 20.0], [0.0, 0.0, 0.15, 0.0, 0.0, 0.55, 0.55, 0.0]
-    )
+    knots_s = [0.0, 2.0, 5.0, 8.0, 10.0, 11.5, 18.5, 20.0]
+    curvature = np.interp(t_s, knots_s, [0.0, 0.0, 0.15, 0.0, 0.0, 0.55, 0.55, 0.0])
     steps = Increments(v / 50.0, 0.0 * v, v * curvature / 50.0)
     run = recording(steps, accumulate(np.zeros(3), steps))
-    assert drive_type_of([run]).sentence == (
-        "car (steers up to a stop, never turned on the spot; smallest radius 1.8 m)"
-    )
+    said = "car (steers up to a stop, never turned on the spot; smallest radius 1.8 m)"
+    assert drive_type_of([run]).sentence == said
 
 
 def test_a_car_whose_steering_is_not_straight_at_zero_has_another_stop_on_each_side():

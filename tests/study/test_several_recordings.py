@@ -268,9 +268,8 @@ def test_a_run_with_resets_is_halved_as_one(tmp_path, office, whole, resets_s, p
 def test_a_truth_that_lasts_longer_than_the_odometry_is_halved_where_there_is_odometry(office):
     recording = as_recording(office)
     third = len(recording.odometry) // 3
-    early = replace(
-        recording, odometry=Trajectory(recording.odometry.stamps_ns[:third], recording.odometry.xyt[:third])
-    )
+    whole = recording.odometry
+    early = replace(recording, odometry=Trajectory(whole.stamps_ns[:third], whole.xyt[:third]))
     first, second = (fold.test[0] for fold in split_of([early], [True], 0.5).folds([early]))
     middle_s = (second.truth.stamps_ns[0] - early.odometry.stamps_ns[0]) * 1e-9
     assert middle_s == pytest.approx(160.0 / 6.0, abs=1.0)
@@ -367,8 +366,7 @@ def test_what_is_learned_depends_neither_on_names_nor_on_order_of_recordings(dri
     found = learn(drives)
     assert {effect.name for effect in found.fit.effects} >= {"wheel_scale", "wheelbase"}
     other = learn([replace(drives[i], name=f"copy {i}") for i in (3, 0, 4, 2, 1)])
-    sizes = [
-        {(e.name, p.name): getattr(e, p.name) for e in x.fit.effects for p in amplitudes(e)} for x in (found, other)
-    ]
+    both = [one.fit.effects for one in (found, other)]
+    sizes = [{(e.name, p.name): getattr(e, p.name) for e in effects for p in amplitudes(e)} for effects in both]
     assert sizes[1] == pytest.approx(sizes[0], rel=1e-4)
     assert other.held_out == {name: pytest.approx(gain, rel=1e-3) for name, gain in found.held_out.items()}

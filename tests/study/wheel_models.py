@@ -97,9 +97,8 @@ def recorded(name, odometry, truth, rng):
     stamps = 10**18 + (np.arange(len(truth)) * 1e9 / GRID_HZ).round().astype(np.int64)
     noisy = truth + rng.normal(size=truth.shape) * [TRUTH_M, TRUTH_M, TRUTH_RAD]
     rows = slice(None, None, GRID_HZ // RATE_HZ)
-    return Recording(
-        name, Trajectory(stamps[rows], odometry[rows]), Trajectory(stamps[rows], noisy[rows]), int(stamps[0])
-    )
+    both = (Trajectory(stamps[rows], xyt[rows]) for xyt in (odometry, noisy))
+    return Recording(name, *both, int(stamps[0]))
 
 
 def bends(seed, seconds):

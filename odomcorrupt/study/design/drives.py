@@ -158,7 +158,6 @@ def missing_motion(drives: Drives, gain: Gain, best_nats: float) -> str:
         (max(gain(drives.planned(name, _SHORT_S)[1]) for name in names), why)
         for why, names in missing_excitations(drives.learned.fit.problem.motions)
     ]
-    informative = sorted(
-        (one for one in found if one[0] >= _SUFFICIENT_SHARE * best_nats), key=itemgetter(0), reverse=True
-    )
+    enough = [one for one in found if one[0] >= _SUFFICIENT_SHARE * best_nats]
+    informative = sorted(enough, key=itemgetter(0), reverse=True)
     return ", ".join(why for _, why in informative[:2])

@@ -202,9 +202,8 @@ def _stated_or_guessed(recordings: Sequence[Recording]) -> DriveType:
     if not enough or not _has_stop(np.concatenate([s.slow for s in slow], axis=1)):
         return DriveType("differential", least_radius_m=radius_m)
     gyro = turns_at_rest or total("rest_s") < _REST_S
-    return DriveType(
-        "car", f"steers up to a stop, never turned on the spot; smallest radius {radius_m:.1f} m", gyro=gyro
-    )
+    why = f"steers up to a stop, never turned on the spot; smallest radius {radius_m:.1f} m"
+    return DriveType("car", why, gyro=gyro)
 
 
 def _has_stop(slow: Array) -> bool:

@@ -512,6 +512,20 @@ def _unit_of_headings(look: Look, i: int) -> Figures | None:
     return {"i": i, "factor": READINGS[k], "unit": words[k - 2], "undo": undo}
 
 
+def _degrees_in_cosines(look: Look) -> Figures | None:
+    """Find odometry that goes along its heading in degrees, taken as radians, and turns as the truth does."""
+    path = look.paths[0]
+    step = np.diff(path.xyz[:, 0] + 1j * path.xyz[:, 1])
+    yaws = np.degrees((path.yaw_rad, np.unwrap(path.yaw_rad)))
+    courses = [yaw[:-1] + part * np.diff(yaw) for yaw in yaws for part in (0.0, 0.5, 1.0)]
+    fits = [_concentration(2.0 * (np.angle(step) - course)[moving(np.abs(step))]) for course in courses]
+    along = np.real(step * np.exp(-1j * courses[int(np.argmax(fits))]))
+    mended = _moved_by(path, np.column_stack((along, 0.0 * along, wrap(np.diff(path.yaw_rad)))))
+    turn = replace(look, paths=(mended, look.paths[1])).scales[1]
+    right = max(fits) > _FOLLOWS and look.own[0].agreement[0] < _CLEAR and turn.sure and not turn.beyond(_WRONG)
+    return {"undo": lambda _: mended} if right else None
+
+
 def _folded(look: Look, i: int) -> Figures | None:
     """Find headings of half a circle alone: at its ends they jump."""
     path = look.paths[i]
@@ -1033,6 +1047,9 @@ PATTERNS = (
             "w was never set beside z = sin(yaw / 2)",
             "set w = cos(yaw / 2), or make poses of its twists with `odomcorrupt integrate`", "",
             lambda look, i: {"i": i} if look.paths[i].no_w else None, alone=True),
+    Pattern("degrees in cosines", "{who}: its steps go along 57.3 times its heading, and it turns as {other} does",
+            "x += v cos(yaw) dt with yaw in degrees", "convert to radians before cos and sin",
+            "its path is made again of its steps and headings", _degrees_in_cosines),
     Pattern("unit of headings", "{who}: its headings, not its path, are of another unit: {unit}",
             "degrees given to a function of radians, or the other way round; a column with the wrong name",
             "name the column yaw_deg or yaw_rad, as it is; for a bag, convert before making quaternions",

@@ -67,7 +67,10 @@ def resolved(fixes: Samples, status: NDArray[np.int8]) -> Samples:
         )
     first = Origin(*np.nan_to_num(fixes.xyz[0]).tolist())
     placed = replace(fixes, xyz=east_north_up(fixes.xyz), geodetic_origin=first)
-    return placed.noted(*_outages(stamps_s), "metres east and north of its first fix")
+    steps = np.diff(stamps_s)
+    out = steps[steps > max(_OUTAGE_S, _OUTAGE_STEPS * float(np.median(steps)))] if len(steps) else steps
+    lost = [f"{len(out)} outage{'s' * (len(out) > 1)}, {out.sum():.0f} s without any fix"] if len(out) else []
+    return placed.noted(*lost, "metres east and north of its first fix")
 
 
 def without_float_episodes(truth: Samples) -> Samples:
@@ -120,16 +123,8 @@ def _episodes(stamps_s: Array, poor: NDArray[np.bool_]) -> list[str]:
     return [f"{len(episodes)} {what}, {seconds:.0f} s, left out ({share})"]
 
 
-def _outages(stamps_s: Array) -> list[str]:
-    steps = np.diff(stamps_s)
-    out = steps[steps > max(_OUTAGE_S, _OUTAGE_STEPS * float(np.median(steps)))] if len(steps) else steps
-    return [f"{len(out)} outage{'s' * (len(out) > 1)}, {out.sum():.0f} s without any fix"] if len(out) else []
-
-
-_A_M = 6378137.0
-"""Semi-major axis of WGS 84."""
-_F = 1.0 / 298.257223563
-"""Flattening of WGS 84."""
+_A_M, _F = 6378137.0, 1.0 / 298.257223563
+"""Semi-major axis and flattening of WGS 84."""
 _E2 = _F * (2.0 - _F)
 
 

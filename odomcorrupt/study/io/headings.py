@@ -96,9 +96,8 @@ def _headed(recording: Recording) -> Recording:
     mean_p = a.sums(a.p) / count
     cross = a.sums(np.conj(a.q) * a.p) - count * np.conj(a.mean_q) * mean_p
     spread_p = a.sums(np.abs(a.p) ** 2) - count * np.abs(mean_p) ** 2
-    heading = _odometry_at_truth(recording)[:, 2] + np.interp(
-        truth_s, truth_s[a.known], np.unwrap(np.angle(cross[a.known]))
-    )
+    turned = np.interp(truth_s, truth_s[a.known], np.unwrap(np.angle(cross[a.known])))
+    heading = _odometry_at_truth(recording)[:, 2] + turned
     unexplained = np.maximum(spread_p + a.spread_q - 2.0 * np.abs(cross), 0.0)
     error = float(np.sqrt(np.median(unexplained / np.maximum(a.spread_q, 1e-9))))
     xyt = np.concatenate((truth.xyt[:, :2], heading[:, None]), axis=1)

@@ -128,9 +128,8 @@ def match_run(odometry: Samples, sweeps: Sweeps, progress: Callable[[str, float]
     _check_travel(found, calibration.motion, sweeps.place)
     found = with_view_errors(without_spikes(found, calibration.motion), calibration.motion)
     noise = white_noise(found, calibration.motion)
-    return LaserRun(
-        odometry.trajectory(), sweeps, calibration, tracked, with_noise(found, calibration.motion, noise), noise
-    )
+    found = with_noise(found, calibration.motion, noise)
+    return LaserRun(odometry.trajectory(), sweeps, calibration, tracked, found, noise)
 
 
 def truth_of(run: LaserRun) -> list[Samples]:

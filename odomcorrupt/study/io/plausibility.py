@@ -82,14 +82,12 @@ def cross_correlation(
     grid = np.arange(first, last, step)
     turned = np.sqrt(np.mean(slopes(a_s, odometry.xyt[:, 2:], grid, smoothing_s) ** 2))
     by_course = bool(np.isnan(truth.xyt[:, 2]).all()) or turned < _SIDEWAYS_RADPS
-    one, other = (
-        _signals(t, path.xyt, grid, smoothing_s, by_course=by_course) for t, path in ((a_s, odometry), (b_s, truth))
-    )
+    pair = (a_s, odometry.xyt), (b_s, truth.xyt)
+    one, other = (_signals(t_s, xyt, grid, smoothing_s, by_course=by_course) for t_s, xyt in pair)
     count = min(round(reach_s / step), len(grid) - 1)
     turn, speed = (_correlation(one[:, i], other[:, i], count) for i in (0, 1))
-    return CrossCorrelation(
-        np.arange(-count, count + 1) * step, speed, turn, varies=bool((_vary(one) & _vary(other)).any())
-    )
+    varies = bool((_vary(one) & _vary(other)).any())
+    return CrossCorrelation(np.arange(-count, count + 1) * step, speed, turn, varies=varies)
 
 
 def _vary(signals: Array) -> NDArray[np.bool_]:

@@ -308,9 +308,8 @@ def _between_clock_steps(source: Source, wheels: _Wheeled, truth: Samples) -> li
         for other in others:
             name = f"{source.title}, clock {len(found) + 1}" if len(parts) * len(others) > 1 else source.title
             try:
-                found += recordings_of(
-                    name, one, other, wheels.track_m, source.truth_shift_s, lambda: _witnesses(source)
-                )
+                shift_s, seen = source.truth_shift_s, lambda: _witnesses(source)
+                found += recordings_of(name, one, other, wheels.track_m, shift_s, seen)
             except RecordingError as error:
                 why = error
         if len(found) == before:

@@ -82,8 +82,7 @@ def _of_gain(gain: RandomCoefficient, windows: Intervals, motion: Motion) -> Arr
     sums = [0.0, 0.0, 0.0]
     rows = zip(*moved.tolist(), keep.tolist(), last.tolist(), strict=True)
     for place, (along, across, yaw, kept, ends) in reversed(list(enumerate(rows))):
-        if ends:
-            sums = [0.0, 0.0, 0.0]
+        sums = [0.0, 0.0, 0.0] if ends else sums
         later[:, place] = sums
         sums = [kept * (s + c) for s, c in zip(sums, (along, across, yaw), strict=True)]
     both = moved[:, None] * (later + 0.5 * moved)[None]
@@ -169,17 +168,15 @@ class Evaluation:
         roots = process_roots(random, windows, motion)
         shared = None if roots is None else roots[:, :count]
         errors = replace(errors, covariance=errors.covariance + more, shared=shared)
-        return errors, uncertainty_of(
-            self.model, windows, errors, self.problem, inflate=self.inflation, positions=positions
-        )
+        spread = uncertainty_of(self.model, windows, errors, self.problem, inflate=self.inflation, positions=positions)
+        return errors, spread
 
     def errors_of(self, windows: Intervals, positions: PositionWindows | None = None) -> WindowErrors:
         """Return the errors of windows of `left` with their covariance from the noise of odometry and truth."""
         if positions is None and not self.headed:
             positions = position_windows(self.left, windows)
-        return window_errors(
-            windows, self.model.noise, self.truth, self.problem.steps, headed=self.headed, positions=positions
-        )
+        noise, steps = self.model.noise, self.problem.steps
+        return window_errors(windows, noise, self.truth, steps, headed=self.headed, positions=positions)
 
 
 def evaluate_stretch(

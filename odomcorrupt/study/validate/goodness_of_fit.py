@@ -112,9 +112,7 @@ def verdict_of(horizons: Sequence[Horizon], pits: Mapping[str, Pit], whiteness: 
     misfit = float(np.sqrt(max(beyond, key=lambda nees: abs(np.log(max(nees, 1e-300)))))) if beyond else 1.0
     checks = [Check(size_question(h.distance_m), h.nees_p) for h in horizons]
     checks += [Check(f"distribution of {name} innovations (PIT)", pit.p) for name, pit in pits.items()]
-    checks += [
-        Check(f"autocorrelation of {name} innovations (Ljung-Box)", white.p) for name, white in whiteness.items()
-    ]
+    checks += [Check(f"autocorrelation of {name} innovations (Ljung-Box)", one.p) for name, one in whiteness.items()]
     return Verdict(REJECTION_LEVEL, tuple(sorted(checks, key=lambda check: check.p)), misfit)
 
 

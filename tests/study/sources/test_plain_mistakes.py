@@ -212,11 +212,10 @@ def test_a_heading_that_is_stuck_for_a_while_is_left_out_there(from_s, until_s, 
     stuck = (path.t_s > from_s) & (path.t_s < until_s)
     bent = trajectory(rows * np.where(stuck[1:, None], [1.0, 1.0, 0.0], 1.0))
     wrong = replace(path, yaw_rad=np.where(stuck, path.yaw_rad[stuck][0], path.yaw_rad)) if path_goes_on else bent
-    found = look_at(wrong, real(rows, headed=headed), "one heading")
-    left_s = found.odometry.t_s
-    assert not np.any((left_s > from_s + 4.0) & (left_s < until_s - 4.0))
-    assert np.sum(left_s < from_s - 4.0) == np.sum(path.t_s < from_s - 4.0)
-    assert found.truth.headed == headed
+    left, seen, *_ = look_at(wrong, real(rows, headed=headed), "one heading")
+    assert not np.any((left.t_s > from_s + 4.0) & (left.t_s < until_s - 4.0))
+    assert np.sum(left.t_s < from_s - 4.0) == np.sum(path.t_s < from_s - 4.0)
+    assert seen.headed == headed
 
 
 def test_straight_courses_beside_noisy_headings_are_no_stuck_heading():
@@ -224,6 +223,16 @@ def test_straight_courses_beside_noisy_headings_are_no_stuck_heading():
     rows[1000:4000] = 0.3 / HZ, 0.0, 0.0
     seen = real(rows)
     look_at(trajectory(rows), replace(seen, yaw_rad=np.random.default_rng(3).normal(seen.yaw_rad, 0.1)))
+
+
+@pytest.mark.parametrize(("seed", "headed", "at"), [(1, True, 0.0), (3, True, 0.5), (6, False, 0.0), (6, False, 1.0)])
+def test_headings_in_degrees_given_to_cosines(seed, headed, at):
+    path = trajectory(rows := driven(seed))
+    course = np.degrees(path.yaw_rad[:-1] * (1.0 - at) + path.yaw_rad[1:] * at)
+    steps = np.column_stack((np.cos(course), np.sin(course), 0.0 * course)) * rows[:, :1]
+    wrong = replace(path, xyz=np.cumsum(np.vstack((path.xyz[:1], steps)), axis=0))
+    xyz = look_at(wrong, real(rows, headed=headed), "degrees in cosines").odometry.xyz
+    assert np.abs(xyz - path.xyz).max() < 0.01
 
 
 @pytest.mark.parametrize(("every", "repeats"), [(200, 30), (6000, 1200)])
