@@ -321,7 +321,11 @@ def _departures(
     """Return departures from the running medians of truth minus odometry (m, 2), and the difference (m, 3); m, rad."""
     at = t_s[inside]
     heading = np.interp(at, own_s, np.unwrap(odometry.yaw_rad))
-    turned, calm = _unwrapped(truth.yaw_rad[inside] - heading)
+    apart = truth.yaw_rad[inside] - heading
+    turns = wrap(np.diff(apart))
+    turns[np.abs(turns) > _FLIP_RAD] = 0.0
+    calm = apart[0] + np.concatenate(([0.0], np.cumsum(turns)))  # unwrapped without flips by half a turn
+    turned = calm + wrap(apart - calm)
     way = distance_along(odometry.xyz)
     design = np.stack((np.ones(len(at)), at, heading, np.interp(at, own_s, way)), axis=1)
     # Gyro bias, heading gain and unequal wheels act all the time: remove their contribution by regression.
@@ -351,14 +355,6 @@ def _returns(t_s: Array, difference: Array, first: int, end: int) -> NDArray[np.
     before, within, after = (np.median(part, axis=0) for part in parts)
     stays, away = (np.array((np.linalg.norm(d[:2]), abs(d[2]))) for d in (after - before, within - before))
     return stays < np.maximum(_MAX_LEFT * away, _MIN_APART)
-
-
-def _unwrapped(difference: Array) -> tuple[Array, Array]:
-    """Return a difference of headings (n,) unwrapped across flips by half a turn, with and without the flips."""
-    steps = wrap(np.diff(difference))
-    steps[np.abs(steps) > _FLIP_RAD] = 0.0
-    calm = difference[0] + np.concatenate(([0.0], np.cumsum(steps)))
-    return calm + wrap(difference - calm), calm
 
 
 def _medians(t_s: Array, values: Array) -> Array:
