@@ -181,8 +181,8 @@ def test_the_spread_of_a_batch_comes_as_text_as_values_and_as_a_picture(here, ca
     capsys.readouterr()
     assert run(["spread", "runs", "-v", "-o", "out.svg"]) == 0
     text = capsys.readouterr().out
-    assert text.startswith("runs: 3 runs; standard deviations about their mean")
-    assert "The prediction does not include the draws of slip_burst." in text
+    assert "(3 runs: " in text.splitlines()[0]
+    assert "not predicted: the draws of slip_burst" in text
     assert (here / "out.svg").stat().st_size > 1000
     assert run(["spread", "runs", "--json"]) == 0
     shown = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)

@@ -903,7 +903,7 @@ def _stands(look: Look, i: int) -> Figures | None:
     moves = (speed := np.hypot(there[:, 0], there[:, 1])) > 0.5 * np.percentile(speed, 95.0)
     still = (np.abs(here) <= 1e-3 * np.percentile(np.abs(here), 95.0, axis=0)).all(axis=1)
     lost, runs = moves & still, runs_of(np.asarray(still))
-    lost_s, share = float(lost.sum()) * look.window_s / 4.0, float(lost.sum()) / moves.sum()
+    lost_s, share = float(lost.sum()) * look.window_s / 4.0, float(lost.sum()) / max(moves.sum(), 1)
     if lost_s < 10.0 or (share < 0.2 and all(moves[a:b].sum() * look.window_s <= 40.0 for a, b in runs)):
         return None
     for a, b in runs:  # a pose that stays is wrong also while the other one rests
