@@ -1,4 +1,4 @@
-"""The public conformance suite of MCAP: each file is read and written anew, and compared by the mcap library.
+"""The public conformance suite of MCAP: each file is read and rewritten, and compared by the mcap library.
 
     python benchmarks/conformance.py FOLDER
 

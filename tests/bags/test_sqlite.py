@@ -36,7 +36,7 @@ def changed(tmp_path, *statements, values=()):
 
 
 def remade(columns, rule=""):
-    """Return statements that make the table of messages anew."""
+    """Return statements that recreate the table of messages."""
     return (
         f"CREATE TABLE other ({columns}{rule})",
         "INSERT INTO other SELECT * FROM messages",

@@ -411,7 +411,7 @@ def test_terminal_sees_runs_grow_within_a_pass(jobs, tmp_path):
         "import sys; from odomcorrupt.cli import run; sys.exit(run(sys.argv[1:]))\n"
     )
     script = tmp_path / "slow.py"
-    # a worker that is spawned imports the script anew, and with it the shorter pause
+    # a worker that is spawned imports the script again, with the shorter pause
     script.write_text(program.replace("import sys;", "if __name__ == '__main__':\n  import sys;"))
     words = ["batch", str(FIXTURES / "office.mcap"), str(tmp_path / "runs"), "--runs", "8", "--seed", "1"]
     said = on_a_terminal(80, str(script), *words, "--jobs", jobs, "--alpha", "0.1", "0.1", "0.1", "0.1")

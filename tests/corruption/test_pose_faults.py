@@ -151,7 +151,7 @@ ODDITIES = {
 
 @pytest.fixture(scope="module")
 def strange(tmp_path_factory):
-    """Write a drive that jumps, swaps two messages, has a stamp of zero, one of the future, and begins anew."""
+    """Write a drive that jumps, swaps two messages, has a stamp of zero, one of the future, and starts again."""
     t, poses = office(20.0, 20.0)
     poses = poses.copy()
     poses[200:, 0] += 40.0
