@@ -52,6 +52,7 @@ OWN = {
     "plane": {"who": "/truth"}, "headings of the truth": {"who": "/truth", "what": "are 0 or 180 deg alone"},
     "repeated poses": {"longest": 25.0, "count": 1},
     "clock rate": {"factor": 2.0}, "stands still": {"share": "50%"},
+    "unit of headings": {"causes": "degrees given to a function of radians, or yaw for yaw / 2 in a quaternion"},
     "unit of stamps": {"unit": "milliseconds"},
     "turns too far": {"usual": 4, "causes": "wheel separation, or radius, in other units; degrees for radians"},
     "Euler steps": {"at": "beginning", "most": 22},

@@ -57,8 +57,12 @@ _LOST = 2.0
 """Turn between messages, rad, beyond which many exceed half a turn and are lost."""
 _FAST_MPS, _ROBOT_MPS = 60.0, 10.0
 """Speed that no robot has, and one that few have."""
-READINGS = (1.0, -1.0, np.pi / 180.0, -np.pi / 180.0, 180.0 / np.pi)
-"""Factors by which headings may have to be multiplied."""
+_DEGREE = 180.0 / np.pi
+READINGS = {
+    1.0: "", -1.0: "", 1.0 / _DEGREE: "degrees, not radians", -1.0 / _DEGREE: "degrees of a compass (clockwise)",
+    _DEGREE: "read as degrees, but are radians", 0.5: "twice the angle", 2.0: "half of the angle",
+}  # fmt: skip
+"""Factors by which headings may have to be multiplied, and what they are then."""
 UNITS = {"feet": 1.0 / 0.3048, "inches": 1.0 / 0.0254, "centimetres": 100.0, "millimetres": 1000.0}
 """Units of length that are confused with metres, per metre."""
 _LENGTHS = {per_m: f"{unit} for metres" for unit, per_m in UNITS.items()}
@@ -66,7 +70,7 @@ _OF_TRAVEL = _LENGTHS | {
     2.0: "diameter for radius, or one edge of the encoder counted instead of two", 4.0: "quadrature counted once",
     3.6: "km/h for m/s",
 }  # fmt: skip
-_OF_TURNS = _LENGTHS | {2.0: "half of it for the whole", 180.0 / np.pi: "degrees for radians"}
+_OF_TURNS = _LENGTHS | {2.0: "half of it for the whole", _DEGREE: "degrees for radians"}
 """Likely causes of factors near these or their inverses."""
 
 
@@ -301,6 +305,19 @@ class Look:
         every = np.square((here, there, there - here))
         return np.sqrt(every[:, :, :2].sum(axis=2).mean(axis=1)), np.sqrt(every[:, :, 2].mean(axis=1))
 
+    def bare(self, i: int) -> Look:
+        """Return the look without the headings of one of the two."""
+        one, other = self.paths
+        return replace(self, paths=(one, other.without_headings()) if i else (one.without_headings(), other))
+
+    def turns_by(self, i: int, factor: float) -> float:
+        """Return how well one turns by a factor times the other from pose to pose, but for whole turns: 1 if so."""
+        (path, other), times = (x[:: 1 - 2 * i] for x in (self.paths, self.bare(i).windows[2]))
+        origin = int(self.paths[0].stamps_ns[0])
+        at_s = path.seconds_since(origin) + (times[1] - times[0])[0]
+        turned = np.interp(at_s, other.seconds_since(origin), np.unwrap(other.yaw_rad))
+        return _concentration(np.diff(path.yaw_rad) - factor * np.diff(turned))
+
     @property
     def agree(self) -> bool:
         """Whether travel and turns agree in usual windows, beside what a lever arm or a slight curvature changes."""
@@ -490,26 +507,30 @@ def _mirrored_headings(look: Look, i: int) -> Figures | None:
     if own.chords < _FEWEST or not alone or _turn_between(look.paths[i]) > _LOST:
         return None
     # the path by itself turns as the other trajectory does, or is mirrored
-    one, other = look.paths
-    bare = replace(look, paths=(one, other.without_headings()) if i else (one.without_headings(), other))
-    axis = 1.0 if bare.correlations[2, 2] > 0.0 else -1.0
+    axis = 1.0 if look.bare(i).correlations[2, 2] > 0.0 else -1.0
     return {"i": i, "undo": lambda p: replace(p, xyz=p.xyz * [1.0, axis, 1.0], yaw_rad=-axis * p.yaw_rad)}
 
 
 def _unit_of_headings(look: Look, i: int) -> Figures | None:
     """Find headings in another unit by the path, or by the odometry's turns if the path has other directions."""
     own = look.own[i]
-    k = int(np.argmax(own.agreement))
-    if k < 2 or own.chords < _FEWEST or own.agreement[0] > _CLEAR or own.agreement[k] < _FOLLOWS:
+    best, factor = max(zip(own.agreement, READINGS, strict=True))
+    if not READINGS[factor] or own.chords < _FEWEST or own.agreement[0] > _CLEAR or best < _FOLLOWS:
         return None
-    words = ("degrees, not radians", "degrees of a compass (clockwise)", "read as degrees, but are radians")
 
     def undo(path: Samples) -> Samples:
         course, middle = _chords(path.xyz[:, :2])
-        readings = (READINGS[k] * path.yaw_rad, READINGS[k] * np.unwrap(path.yaw_rad))
-        return replace(path, yaw_rad=max(readings, key=lambda yaw: _concentration(2.0 * (course - yaw[middle]))))
+        readings = (factor * np.unwrap(path.yaw_rad), factor * path.yaw_rad)
+        fits = [round(_concentration(2.0 * (course - yaw[middle])), 6) for yaw in readings]
+        return _ahead(replace(path, yaw_rad=readings[int(np.argmax(fits))]))
 
-    return {"i": i, "factor": READINGS[k], "unit": words[k - 2], "undo": undo}
+    causes = f"{_DEGREES}, or the other way round; a column with the wrong name"
+    causes = (
+        "yaw, or a quarter of it, for yaw / 2 in z = sin(yaw / 2), w = cos(yaw / 2)"
+        if "angle" in READINGS[factor]
+        else causes
+    )
+    return {"i": i, "factor": factor, "unit": READINGS[factor], "causes": causes, "undo": undo}
 
 
 def _degrees_in_cosines(look: Look) -> Figures | None:
@@ -534,12 +555,13 @@ def _folded(look: Look, i: int) -> Figures | None:
     if not half or not 1 < jumps.sum() < 0.5 * len(jumps):
         return None
 
-    def undo(path: Samples) -> Samples:
-        mended = replace(path, yaw_rad=np.unwrap(path.yaw_rad, period=np.pi))
-        back = increments(mended.trajectory().xyt).ds_m.sum() < 0.0
-        return replace(mended, yaw_rad=mended.yaw_rad + np.pi * back)
-
+    undo = lambda path: _ahead(replace(path, yaw_rad=np.unwrap(path.yaw_rad, period=np.pi)))  # noqa: E731
     return {"i": i, "count": int(jumps.sum()), "undo": undo}
+
+
+def _ahead(path: Samples) -> Samples:
+    """Return a trajectory whose headings are turned by half a turn if it would mostly drive backwards."""
+    return replace(path, yaw_rad=path.yaw_rad + np.pi * (increments(path.trajectory().xyt).ds_m.sum() < 0.0))
 
 
 def _euler(look: Look, i: int) -> Figures | None:
@@ -572,9 +594,13 @@ def _unrelated(look: Look, i: int) -> Figures | None:
         return None if _is_straight(own, path) else {"i": i, "what": "never change"}
     # headings that are right beside wheels that are exchanged make one linear function of the two motions
     few = min(own.chords, other.chords) < 3 * _FEWEST or _linear(*look.motions[1::-1])[1] > _FOLLOWS
-    if few or max(own.agreement) > _CLEAR or other.agreement[0] < _FOLLOWS or abs(look.correlations[2, 2]) > _UNCLEAR:
+    if few or max(own.agreement) > _CLEAR or other.agreement[0] < _FOLLOWS:
         return None
-    return {"i": i, "what": "are 0 or 180 deg alone" if own.fixed > _FOLLOWS else "turn otherwise", **undo}
+    degrees = i and look.turns_by(1, _DEGREE) > max(_CLEAR, look.turns_by(1, 0.0))
+    if not degrees and abs(look.correlations[2, 2]) > _UNCLEAR:
+        return None
+    what = "are 0 or 180 deg alone" if own.fixed > _FOLLOWS else "turn otherwise"
+    return {"i": i, "what": f"{what} ({_DEGREES})" if degrees else what, **undo}
 
 
 def _is_straight(own: Own, path: Samples) -> bool:
@@ -948,13 +974,8 @@ def _turns_too_far(look: Look) -> Figures | None:
     # chords of a path that turns so fast are short, the path itself is not
     far = float(distance_along(path.xyz[:, :2])[-1]) / path.span_s / max(look.own[1].speed_mps, 1e-9)
     causes = ["wheel separation in other units (centimetres, millimetres)", "degrees for radians"]
-    if look.paths[1].headed:
-        # turns beyond half a turn, too, agree with those of the truth in degrees, but for whole turns
-        origin, (here_s, there_s) = int(path.stamps_ns[0]), look.windows[2]
-        at_s = path.t_s + (there_s - here_s)[0]
-        truth = np.interp(at_s, look.paths[1].seconds_since(origin), np.unwrap(look.paths[1].yaw_rad))
-        apart = [np.diff(path.yaw_rad) - k * np.diff(truth) for k in (UNITS["centimetres"], READINGS[-1])]
-        causes = causes[:: -1 if _concentration(apart[1]) > _concentration(apart[0]) else 1]
+    if look.paths[1].headed and look.turns_by(0, _DEGREE) > look.turns_by(0, UNITS["centimetres"]):
+        causes.reverse()
     said = "; ".join(causes)
     if far > UNITS["feet"]:
         said = f"wheel radius in other units (centimetres, millimetres): it travels about {far:.0f} times as far, too"
@@ -1018,6 +1039,7 @@ def _hint(factor: float, causes: dict[float, str]) -> str:
     return f" ({nearest})" if off[nearest] < 1.5 * _ALIKE else ""
 
 
+_DEGREES = "degrees given to a function of radians"
 _RECORD = "mend it and record again"
 _UNDONE = "this is undone in the odometry, and not in the model"
 _KEPT = "the model has the factor, and is of this odometry as it is"
@@ -1050,8 +1072,7 @@ PATTERNS = (
     Pattern("degrees in cosines", "{who}: its steps go along 57.3 times its heading, and it turns as {other} does",
             "x += v cos(yaw) dt with yaw in degrees", "convert to radians before cos and sin",
             "its path is made again of its steps and headings", _degrees_in_cosines),
-    Pattern("unit of headings", "{who}: its headings, not its path, are of another unit: {unit}",
-            "degrees given to a function of radians, or the other way round; a column with the wrong name",
+    Pattern("unit of headings", "{who}: its headings, not its path, are of another unit: {unit}", "{causes}",
             "name the column yaw_deg or yaw_rad, as it is; for a bag, convert before making quaternions",
             "its headings are multiplied by {factor}", _unit_of_headings, alone=True),
     Pattern("folded headings", "{who}: its headings are of half a circle alone, and jump by 180 deg {count} times",

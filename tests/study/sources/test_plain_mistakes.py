@@ -295,7 +295,11 @@ def test_overflows_are_counted_and_taken_out(bits, wheel_m):
 @pytest.mark.parametrize(
     ("name", "wrong"),
     [
-        *(("unit of headings", lambda one, k=k: {"yaw_rad": one.yaw_rad * k}) for k in (57.29578, -57.29578, 0.01745)),
+        *(
+            ("unit of headings", lambda one, k=k: {"yaw_rad": one.yaw_rad * k})
+            for k in (57.29578, -57.29578, 0.01745, 0.5)
+        ),
+        ("unit of headings", lambda one: {"yaw_rad": (2.0 * one.yaw_rad + np.pi) % (2.0 * np.pi) - np.pi}),
         ("mirrored headings", lambda one: {"yaw_rad": -one.yaw_rad}),
         ("mirrored headings", lambda one: {"xyz": one.xyz * [1.0, -1.0, 1.0]}),
         ("folded headings", lambda one: {"yaw_rad": one.yaw_rad % np.pi}),
@@ -351,6 +355,19 @@ def test_a_unit_of_lengths_is_undone_and_no_part_of_the_model(at, metre, headed)
     assert {100.0: "centi", 1000.0: "milli"}[metre] + "metres for metres" in found.mistakes[0].causes
     assert found.gains == (1.0, 1.0)
     assert np.allclose((found.odometry, found.truth)[at].xyz, path.xyz)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_truth_in_degrees_that_wraps_many_times_between_poses_has_that_cause(seed, noise):
+    rows = driven(seed) * [1.0, 1.0, 2.0]
+    seen = real(rows)
+    wrong = np.degrees(seen.yaw_rad) + np.random.default_rng(seed).normal(0.0, noise, len(seen))
+    found = look_at(
+        trajectory(rows), replace(seen, yaw_rad=(wrong + np.pi) % (2.0 * np.pi) - np.pi), "headings of the truth"
+    )
+    assert "degrees given to a function of radians" in found.mistakes[0].said
+    assert not found.truth.headed
 
 
 @pytest.mark.parametrize("seed", range(2))
