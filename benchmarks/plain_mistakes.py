@@ -145,7 +145,7 @@ def plant(seed: int, seconds: float = 100.0) -> Case:  # noqa: C901, PLR0912, PL
         own, right = own * [-1.0, -1.0, 1.0], ("forward is -x",)
     elif what == "y ahead":
         side = rng.choice([-1.0, 1.0])
-        own, right = np.column_stack((-side * own[:, 1], side * own[:, 0], own[:, 2])), ("forward is y",)
+        own, right = np.column_stack((-side * own[:, 1], side * own[:, 0], own[:, 2])), ("turned axes",)
     elif what == "encoder":
         flipped = rng.choice([-1.0, 1.0])
         ahead, turned = own[:, 0], own[:, 2] * robot.track_m / 2.0

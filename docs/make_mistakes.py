@@ -57,7 +57,7 @@ OWN = {
     "turns too far": {"usual": 4, "causes": "wheel separation, or radius, in other units; degrees for radians"},
     "Euler steps": {"at": "beginning", "most": 22},
     "sideways": {"how": "moves sideways the other way than"}, "late clock": {"who": "/truth", "side": "behind"},
-    "forward is y": {"side": "y"}, "never turns one way": {"side": "right"},
+    "turned axes": {"angle": 45}, "never turns one way": {"side": "right"},
     "unit of lengths": {"unit": "millimetres"}, "one heading": {"when": "from 70 s to 180 s"},
 }  # fmt: skip
 """Examples of single rows."""

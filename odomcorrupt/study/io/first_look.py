@@ -53,6 +53,8 @@ _ALIKE = 0.06
 """Relative difference of two factors that are the same."""
 _BENT_RAD = 0.1
 """Turn of a step from which it matters how its travel is directed."""
+_ASKEW = 0.5
+"""Angle between axes, rad, beyond which it is no error of a mounting."""
 _LOST = 2.0
 """Turn between messages, rad, beyond which many exceed half a turn and are lost."""
 _FAST_MPS, _ROBOT_MPS = 60.0, 10.0
@@ -770,20 +772,24 @@ def _wheel_gains(look: Look) -> Figures | None:
 def _reversed(look: Look, turn: float) -> Figures | None:
     """Find odometry that drives backwards and turns as the truth does (1) or the other way (-1)."""
     c = look.correlations
-    if not look.paths[1].headed or c[0, 0] > -_CLEAR or c[2, 2] * turn < _CLEAR:
+    wrong = look.paths[1].headed and c[0, 0] < -_CLEAR and c[2, 2] * turn > _CLEAR
+    return {"undo": _by((-1.0, -1.0, turn))} if wrong else None
+
+
+def _turned_axes(look: Look) -> Figures | None:
+    """Find axes that are turned by an angle beyond that of a mounting."""
+    ways = [x[:, 0] + 1j * x[:, 1] for x in look.windows[:2]]
+    used = moving(np.abs(ways[0])) & moving(np.abs(ways[1]))
+    apart = np.angle(ways[1] * np.conj(ways[0]))[used]
+    angle = float(np.angle(np.mean(np.exp(1j * apart)))) if len(apart) else 0.0
+    clear = len(apart) >= _FEWEST and _concentration(apart) > _FOLLOWS and look.correlations[2, 2] > -_CLEAR
+    if not look.paths[1].headed or not clear or not _ASKEW < abs(angle) < np.pi - _ASKEW / 2.0:
         return None
-    return {"corr": float(c[0, 0]), "undo": _by((-1.0, -1.0, turn))}
-
-
-def _sideways(look: Look) -> Figures | None:
-    (here, there, _), c = look.windows, look.correlations
-    for i, corr, x in ((0, float(c[1, 0]), here), (1, float(c[0, 1]), there)):
-        aside = np.std(x[:, 1]) > np.std(x[:, 0]) and look.paths[1].headed
-        if aside and abs(corr) > max(_CLEAR, abs(c[0, 0]) + 1.0 - _CLEAR):
-            turn = np.sign(corr) * np.pi / 2.0
-            undo = lambda path, turn=turn: replace(path, yaw_rad=path.yaw_rad + turn)  # noqa: E731
-            return {"i": i, "side": "y" if corr > 0.0 else "-y", "corr": corr, "undo": undo}
-    return None
+    aside = [float(np.std(x.imag) / np.std(x)) for x in ways]
+    i = int(aside[1] > max(aside[0], _UNCLEAR))
+    turn = angle if i else -angle
+    words = {"angle": f"{abs(np.degrees(turn)):.0f}", "side": "left" if turn > 0.0 else "right"}
+    return {"i": i, **words, "undo": lambda p: replace(p, yaw_rad=p.yaw_rad + turn)}
 
 
 def _aside(look: Look) -> Figures | None:
@@ -1111,17 +1117,16 @@ PATTERNS = (
             "{causes}", "give lengths in metres and angles in radians; " + _RECORD, "", _turns_too_far),
     Pattern("wheel gains", "{who} moves as with wheels {each} (this explains {explained})",
             "{cause}", "{change}", "{then}", _wheel_gains),
-    Pattern("forward is -x", "{who} drives backwards where the truth drives forwards (correlation {corr}); turns agree",
+    Pattern("turned axes", "{who} drives {angle} deg to the {side} of where {other} drives",
+            "a base or a marker turned by this angle; x and y exchanged, or wheels of an omni drive in another order",
+            "turn its frame by this angle", "turned back", _turned_axes),
+    Pattern("forward is -x", "{who} drives backwards where the truth drives forwards; turns agree",
             "the base frame looks backwards; both wheels are negated and exchanged; the truth is mounted backwards",
             "negate and exchange left and right, or turn the base frame by 180 deg",
             "the odometry is turned by 180 deg", lambda look: _reversed(look, 1.0)),
-    Pattern("both wheels negated",
-            "{who} drives backwards and turns right where the truth drives ahead and turns left",
+    Pattern("both wheels negated", "{who} drives backwards and turns right where the truth drives ahead and turns left",
             "both encoders count the wrong way", "negate the counts of both wheels",
             "the odometry's motions are negated", lambda look: _reversed(look, -1.0)),
-    Pattern("forward is y", "{who} drives along its {side} axis where {other} drives along x (correlation {corr})",
-            "x and y exchanged; a base or a marker turned by 90 deg", "turn its frame by 90 deg", "turned by 90 deg",
-            _sideways),
     Pattern("left and right exchanged", "odometry and truth turn opposite ways (correlation {corr}): {fault}",
             "left and right wheels or encoders exchanged; an axis of the truth mirrored, or compass headings",
             "exchange left and right, or flip the axis", "{who} is mirrored", _exchanged),

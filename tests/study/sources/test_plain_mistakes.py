@@ -357,6 +357,19 @@ def test_a_unit_of_lengths_is_undone_and_no_part_of_the_model(at, metre, headed)
     assert np.allclose((found.odometry, found.truth)[at].xyz, path.xyz)
 
 
+@pytest.mark.parametrize("at", [0, 1], ids=["odometry", "truth"])
+@pytest.mark.parametrize("angle", [-150, -90, -45, 60, 90, 135])
+@pytest.mark.parametrize("omni", [False, True])
+def test_axes_that_are_turned_by_any_angle(omni, angle, at):
+    rows = driven(4) + omni * np.roll(driven(5), 900, axis=0)[: len(driven(4)), [1, 0, 1]]
+    pair = [trajectory(rows), real(rows)]
+    pair[at] = replace(pair[at], yaw_rad=pair[at].yaw_rad - np.radians(angle))
+    found = look_at(*pair, "turned axes")
+    words = f"{pair[at].name} drives {abs(angle)} deg to the {'left' if angle > 0 else 'right'}"
+    assert omni or words in found.mistakes[0].said
+    look_at(found.odometry, found.truth)
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_truth_in_degrees_that_wraps_many_times_between_poses_has_that_cause(seed, noise):
