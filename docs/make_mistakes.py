@@ -36,7 +36,7 @@ The rows are tested in this order, and each is undone before the next test:
 FIGURES = {
     "who": "/odom", "other": "/truth", "count": 100, "wheel_m": 0.944, "width": "often 16 bits", "speed": 310,
     "unit": "degrees, not radians", "factor": 0.0175, "plane": "x-z", "up": "y", "what": "never change", "off": 12.0,
-    "side": "left", "best": 0.9, "near": 0.1, "shift": 12.0, "corr": -1,
+    "side": "left", "wheel": "left", "best": 0.9, "near": 0.1, "shift": 12.0, "corr": -1,
     "fault": "whether the odometry or the truth is wrong, these data do not show", "share": "6%",
     "how": "drives forwards there", "far": 1000,
     "travels": "3.3 times as far as", "turns": "10 times as far as", "hint": "", "v": 0.303,
@@ -58,7 +58,8 @@ OWN = {
     "Euler steps": {"at": "beginning", "most": 22},
     "sideways": {"how": "moves sideways the other way than"}, "late clock": {"who": "/truth", "side": "behind"},
     "turned axes": {"angle": 45}, "never turns one way": {"side": "right"},
-    "unit of lengths": {"unit": "millimetres"}, "one heading": {"when": "from 70 s to 180 s"},
+    "unit of lengths": {"unit": "millimetres"},
+    "one heading": {"when": "from 70 s to 180 s", "does": "has one heading, or pivots about one wheel,"},
 }  # fmt: skip
 """Examples of single rows."""
 

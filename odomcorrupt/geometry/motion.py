@@ -398,9 +398,9 @@ def step_of(values: Array) -> float | None:
         count = np.rint(size / step)
         step = float(size @ count / max(count @ count, 1.0))
     count = np.rint(size / step)
-    # fewest different multiples that show a step
-    plain = len(np.unique(count)) >= 4 and np.mean(np.abs(size / step - count) < _ON) >= _ALL
-    return step if plain else None
+    # fewest different multiples that show a step, or between which values change all the time
+    plain = len(np.unique(count)) >= 4 or np.mean(np.diff(np.rint(values / step)) != 0.0) > 0.1
+    return step if plain and np.mean(np.abs(size / step - count) < _ON) >= _ALL else None
 
 
 def lost_parts(

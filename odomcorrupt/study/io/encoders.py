@@ -14,7 +14,8 @@ import numpy as np
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.compensation import corrected_increments
 from odomcorrupt.effects.counts import LEAST_WHEEL_TICKS, losses, wheel_losses
-from odomcorrupt.geometry.motion import has_steps_of_speed, motion_of
+from odomcorrupt.effects.wheels import rims_of
+from odomcorrupt.geometry.motion import has_steps_of_speed, motion_of, step_of
 from odomcorrupt.geometry.se2 import accumulate, increments
 from odomcorrupt.geometry.trajectory import Trajectory
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.motion import Motion
-    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
 
 _MIN_LOST = 5
@@ -32,14 +32,8 @@ _FAST_SHARE = 0.125
 """Least share of losses at speeds above the median: half is expected, and none of a driver that cuts off low speeds."""
 _MAX_HIDDEN = 0.5
 """If a larger part of the moving increments has too few ticks to show a loss, losses count as undetectable."""
-_STEPS_M = np.geomspace(1e-3, 0.05, 600)
-"""Tested ticks, metres. The error of ticks below 1 mm is smaller than the truth resolves."""
-_MIN_REGULARITY = 0.9  # least mean cosine of increments that are multiples of a tick
-_MIN_CHANGES = 0.05  # least fraction of moving increments that differ from their predecessor by a tick
-_FEW = 20
-"""Fewest changes of speed that show a lattice: their mean cosine is 0 +- 0.16 if there is none."""
-_MOST = 1500  # largest number of increments tested, spread over the drive
-_STILL_M = 1e-6
+_LEAST_TICK_M = 1e-3
+"""Least tick that matters, metres: the error of smaller ones is below what the truth resolves."""
 
 
 def encoder_effects(recording: Recording) -> list[Effect]:
@@ -93,16 +87,15 @@ def tick_of(recording: Recording) -> float | None:
     unless yaw rates come in steps of their own: then speeds are truncated to steps.
     """
     steps, dt_s = increments(recording.odometry.xyt), np.diff(recording.odometry_s)
-    found = None
+    # at one speed, travels over one interval and over two are multiples without any ticks
+    usual = np.abs(dt_s - np.median(dt_s)) < 0.5 * np.median(dt_s)
     if recording.track_m is not None:
-        turn = steps.dtheta_rad * recording.track_m / 2.0
-        found = _lattice((steps.ds_m + turn, steps.ds_m - turn), dt_s)
-    if found is None:
-        half = _lattice((steps.ds_m,), dt_s)
-        found = 2.0 * half if half is not None else None
-        if found is not None and speeds_in_steps(recording):
-            return None
-    return found
+        rims = rims_of(steps.ds_m[usual], steps.dtheta_rad[usual], recording.track_m)
+        ticks = [tick for rim in rims if (tick := step_of(rim)) is not None]
+        if len(ticks) > 1 and np.ptp(ticks) < 0.01 * ticks[0] and ticks[0] >= _LEAST_TICK_M:
+            return ticks[0]
+    half = step_of(steps.ds_m[usual])
+    return None if half is None or 2.0 * half < _LEAST_TICK_M or speeds_in_steps(recording) else 2.0 * half
 
 
 def speeds_in_steps(recording: Recording) -> bool:
@@ -112,60 +105,6 @@ def speeds_in_steps(recording: Recording) -> bool:
     steps, dt_s = increments(recording.odometry.xyt), np.diff(recording.odometry_s)
     rate = np.divide(1.0, dt_s, out=np.zeros_like(dt_s), where=dt_s > 0.0)
     return has_steps_of_speed(steps.ds_m * rate, steps.dtheta_rad * rate, dt_s, recording.track_m)
-
-
-def _lattice(travels: Sequence[Array], dt_s: Array) -> float | None:
-    """Return the largest step of which all travels (n,) in intervals dt_s are multiples, and change by, or None."""
-    lattices = []
-    for travel in travels:
-        moves = np.abs(travel) > _STILL_M
-        moved = travel[moves]
-        if len(moved) < 200:
-            return None
-        # A moving wheel moves by at least one tick; coarser steps fit small increments only by chance.
-        possible = np.quantile(np.abs(moved), 0.05) > 0.5 * _STEPS_M
-        lattices.append(np.where(possible, _regularity(moved, dt_s[moves]), 0.0))
-    common = np.min(lattices, axis=0)
-    on = np.flatnonzero(common > _MIN_REGULARITY)
-    if not len(on):
-        return None
-    # Multiples of s are multiples of s/2, too: take the coarsest step, at its own peak.
-    last = on[-1]
-    near = on[_STEPS_M[on] > 0.9 * _STEPS_M[last]]
-    step = float(_STEPS_M[near[np.argmax(common[near])]])
-    # Constant speed also gives equal increments, but without changes by a tick.
-    for travel in travels:
-        moving = (np.abs(travel[1:]) > _STILL_M) | (np.abs(travel[:-1]) > _STILL_M)
-        if not np.mean((_changes(travel, dt_s) > 0.5 * step)[moving]) > _MIN_CHANGES:
-            return None
-    return step
-
-
-def _changes(travel: Array, dt_s: Array) -> Array:
-    """Return by how much each increment (n - 1,) differs from the one before: the lesser of in travel and in speed.
-
-    At one speed, the increments over one and two sampling intervals are multiples of each other without any ticks.
-    """
-    last, ratio = travel[:-1], dt_s[1:] / dt_s[:-1]
-    return np.minimum(np.abs(travel[1:] - last), np.abs(travel[1:] - last * ratio))
-
-
-def _regularity(travel: Array, dt_s: Array) -> Array:
-    """Return the mean cosine of travel (n,) for each step: 1 for exact multiples, about 0 for no relation.
-
-    The increments at one cruising speed are equal, and no independent evidence. Those that differ from the increment
-    before by half a step are; the result is the lesser mean, of these alone and of all, and 0 if these are few.
-    """
-    after, change = travel[1:], _changes(travel, dt_s)
-    rows = np.unique(np.linspace(0, len(after) - 1, min(len(after), _MOST)).astype(np.int64))
-    after, change = after[rows], change[rows]
-    found = np.zeros(len(_STEPS_M))
-    for i, step in enumerate(_STEPS_M):
-        phases = np.cos(2.0 * np.pi * after / step)
-        changed = change > 0.5 * step
-        if np.count_nonzero(changed) >= _FEW:
-            found[i] = min(phases.mean(), phases[changed].mean())
-    return found
 
 
 _PERIOD_S = 0.02

@@ -314,9 +314,9 @@ class Look:
 
     def turns_by(self, i: int, factor: float) -> float:
         """Return how well one turns by a factor times the other from pose to pose, but for whole turns: 1 if so."""
-        (path, other), times = (x[:: 1 - 2 * i] for x in (self.paths, self.bare(i).windows[2]))
+        path, other, times = self.paths[i], self.paths[1 - i], self.bare(i).windows[2]
         origin = int(self.paths[0].stamps_ns[0])
-        at_s = path.seconds_since(origin) + (times[1] - times[0])[0]
+        at_s = path.seconds_since(origin) + (times[1 - i] - times[i])[0]
         turned = np.interp(at_s, other.seconds_since(origin), np.unwrap(other.yaw_rad))
         return _concentration(np.diff(path.yaw_rad) - factor * np.diff(turned))
 
@@ -451,7 +451,7 @@ def first_look(look: Look) -> FirstLook:
                 continue
             found.append(_mistake(pattern, look, figures))
             if (undo := figures.get("undo")) is None:
-                raise RecordingError(found[-1].sentence)
+                raise RecordingError(found[-1]._replace(then="").sentence)
             gains = figures.get("gains", gains)
             one, other = look.paths
             look = replace(look, paths=(one, undo(other)) if figures.get("i", 0) else (undo(one), other))
@@ -803,7 +803,7 @@ def _aside(look: Look) -> Figures | None:
         usual = np.percentile(np.abs(there[:, 0]), 80.0)
         # where headings of the truth are turned for a while, it moves sideways only as the odometry drives
         off = (rest > _MOVING * usual) & (np.abs(here[:, 0]) < rest / 2.0)
-        return {"how": "never moves sideways, unlike"} if off.mean() > 0.05 and here[:, 1].std() < 0.1 * usual else None
+        return {"how": "never moves sideways, unlike"} if off.mean() > 0.02 and here[:, 1].std() < 0.1 * usual else None
     size = abs(side.value) / look.scales[0].value
     wrong = not 1.0 / _SKIDS < size < _WRONG
     if not drives or not clear or not look.paths[1].headed or not (wrong or c[1, 1] < 0.0):
@@ -876,11 +876,11 @@ def _counter(count: int, wheel_m: float, increments_m: Array, rows: Array) -> Fi
     return {"count": count, "wheel_m": wheel_m, "width": width, "undo": lambda path: _moved_by(path, rows)}
 
 
-def _one_way(look: Look, axis: int) -> Figures | None:
-    """Find motions of the truth to a side of zero on which the odometry's motion along an axis never is."""
-    here, there, _ = look.windows
+def _one_way(look: Look, axis: int, arm_m: float = 0.0) -> Figures | None:
+    """Find motions of the truth to a side of zero where the odometry's along an axis, or of a wheel, never are."""
+    here, there = (x + arm_m * x[:, 2:] for x in look.windows[:2])
     # beside a centre of turning, a tracked point goes back in turns on the spot
-    straight = np.abs(there[:, 0]) > 0.5 * np.abs(there[:, 2]) if axis == 0 else np.ones(len(here), dtype=bool)
+    straight = np.abs(there[:, 0]) > 0.5 * np.abs(there[:, 2]) if axis == 0 and not arm_m else here[:, 0] < np.inf
     if axis == 0 and not look.paths[1].headed and np.percentile(here[:, 0], 1.0) >= 0.0:
         # positions alone show reverse as a course that flips between chords, where the odometry's goes on
         courses, seen, origin = [], np.ones(len(here), dtype=bool), int(look.paths[0].stamps_ns[0])
@@ -894,7 +894,7 @@ def _one_way(look: Look, axis: int) -> Figures | None:
         events = int(np.sum(np.diff(np.flatnonzero(back)) > 4)) + 1
         if events > 3 and np.sum((own > 2.6) & (real > 2.6)) < 0.2 * back.sum():
             return {"share": f"{events} places", "how": "goes on there"}
-    for side in (-1, 1) if look.paths[1].headed or axis == 2 else ():
+    for side in (-1,) if arm_m else (-1, 1) if look.paths[1].headed or axis == 2 else ():
         real, counted = moving(there[:, axis], side) & straight, moving(here[:, axis], side)
         if not real.any() or real.sum() < max(0.01 * len(real), 10.0 * counted.sum()):
             continue
@@ -904,8 +904,17 @@ def _one_way(look: Look, axis: int) -> Figures | None:
         low, high = np.percentile(here[other, axis] / there[other, axis], (25.0, 75.0)) if other.any() else (0.0, 0.0)
         if enough and 0.0 < high < 2.0 * low and np.mean(here[real, axis] * side > 0.0) < 0.1:
             how = "drives forwards there" if ahead else "stands there"
-            return {"share": f"{real.mean():.0%}", "how": how, "side": "right" if side < 0 else "left"}
+            often = float(real.mean())
+            return {"often": often, "share": f"{often:.0%}", "how": how, "side": "right" if side < 0 else "left"}
     return None
+
+
+def _wheel_one_way(look: Look) -> Figures | None:
+    """Find a wheel that never turns backwards, on whichever track."""
+    arms_m = np.multiply.outer(np.geomspace(0.03, 1.5, 40), (-1.0, 1.0)).ravel().tolist()
+    arms_m *= look.paths[1].headed and not look.scales[0].beyond(_WRONG)
+    found = (one | {"wheel": "left" if arm < 0.0 else "right"} for arm in arms_m if (one := _one_way(look, 0, arm)))
+    return max(found, key=lambda one: one["often"], default=None)
 
 
 def _repeated(look: Look) -> Figures | None:
@@ -949,21 +958,29 @@ def _without(look: Look, i: int, lost: NDArray[np.bool_]) -> Callable[[Samples],
     return lambda path: path.only(np.interp(path.seconds_since(origin), middle_s, lost) < 0.5)
 
 
-def _one_heading(look: Look) -> Figures | None:
-    """Find headings of the odometry that stay the same for long while it travels and the truth turns."""
-    here, there, (starts, _) = look.motions
-    turns = moving(there[:, 2]) & moving(np.hypot(here[:, 0], here[:, 1]))
-    runs = runs_of(np.asarray(np.abs(here[:, 2]) < 1e-6))
-    a, b = max(runs, key=lambda run: turns[run[0] : run[1]].sum(), default=(0, 0))
-    # noise of the truth's headings does not add up, and a gyro's dead band has no usual turns
-    if (
-        turns[a:b].sum() * look.window_s < 40.0
-        or min(_turned(look.paths[0]), np.ptp(there[a:b, 2].cumsum()) / 4.0) < 1.0
-    ):
-        return None
-    lost = (starts >= starts[a]) & (starts <= starts[b - 1])
-    when = f"from {starts[a]:.0f} s to {starts[b - 1] + look.window_s:.0f} s"
-    return {"when": when, "undo": _without(look, 0, lost)}
+def _one_curvature(look: Look) -> Figures | None:
+    """Find odometry that keeps one curvature for long, as of a dead gyro or wheel, while the truth turns otherwise."""
+    _, there, (starts, _) = look.motions
+    here = travel_of(look.paths[0], int(look.paths[0].stamps_ns[0])).within(starts, look.window_s)
+    moves, usual = moving(np.hypot(here[:, 0], here[:, 1])), int(40.0 / look.window_s)
+    bends = np.sort((here[:, 2] / np.where(here[:, 0], here[:, 0], np.inf))[moves & (np.abs(here[:, 2]) > 1e-6)])
+    dense = [float(bends[int(np.argmin(bends[usual:] - bends[:-usual])) + usual // 2])] if len(bends) > usual else []
+    for bend in (0.0, *dense):
+        off = there[:, 2] - bend * there[:, 0]
+        turns = moving(off) & moves
+        runs = runs_of(np.asarray(np.abs(here[:, 2] - bend * here[:, 0]) < 1e-6 + 1e-3 * np.abs(here[:, 2])))
+        a, b = max(runs, key=lambda run: turns[run[0] : run[1]].sum(), default=(0, 0))
+        many = turns[a:b].sum()
+        few = many * look.window_s < 40.0 or turns.sum() - many < _FEWEST
+        # noise of the truth's headings does not add up, a gyro's dead band has no usual turns, and poses that are left
+        # out make one even motion
+        if few or np.ptp(here[a:b, 0]) < 1e-9 or min(_turned(look.paths[0]), np.ptp(off[a:b].cumsum()) / 4.0) < 1.0:
+            continue
+        lost = (starts >= starts[a]) & (starts <= starts[b - 1])
+        when = f"from {starts[a]:.0f} s to {starts[b - 1] + look.window_s:.0f} s"
+        does = "has one heading" if bend == 0.0 else f"pivots about its {'left' if bend > 0.0 else 'right'} wheel"
+        return {"when": when, "does": does, "undo": _without(look, 0, lost)}
+    return None
 
 
 def _turn_between(path: Samples) -> float:
@@ -1109,9 +1126,9 @@ PATTERNS = (
     Pattern("stands still", "{who} stands still for {lost} s while {other} moves ({share} of its motion)",
             "a driver that lost its wheels, or a tracker its target, and repeats a message; a cable; wheels lifted",
             _RECORD, "these stretches are left out", lambda look: _stands(look, 0) or _stands(look, 1)),
-    Pattern("one heading", "{who} has one heading {when} while it travels and {other} turns",
-            "a gyro that died; a steering angle or yaw rate that stays 0; orientation no longer filled in", _RECORD,
-            "this stretch is left out", _one_heading),
+    Pattern("one heading", "{who} {does} {when} while it travels and {other} turns otherwise",
+            "a gyro, or that wheel's encoder, that died (cable, topic); a steering angle or yaw rate that stays; "
+            "orientation no longer filled in", _RECORD, "this stretch is left out", _one_curvature),
     Pattern("turns too far",
             "{who} turns by {most} deg and more between messages, {other} by {usual}: beyond 180 deg turns are lost",
             "{causes}", "give lengths in metres and angles in radians; " + _RECORD, "", _turns_too_far),
@@ -1137,6 +1154,10 @@ PATTERNS = (
     Pattern("never turns one way", "{who} never turns {side}, the truth does in {share} of its time",
             "an unsigned yaw rate, or an angle from an arc cosine", "keep the sign; " + _RECORD, "",
             lambda look: _one_way(look, 2)),
+    Pattern("wheel never reverses",
+            "{who}: its {wheel} wheel never turns backwards, the truth's does in {share} of its time; it {how}",
+            "an encoder without direction (one channel, or a counter that cannot count down)",
+            "count both channels, or give its counts the sign of the command; " + _RECORD, "", _wheel_one_way),
     Pattern("turns otherwise",
             "{who} travels as the truth does, but its turns do not follow the truth's (correlation {corr})",
             "degrees given to a tangent or sine; the angle of another joint or axis", _RECORD, "", _turns_otherwise),

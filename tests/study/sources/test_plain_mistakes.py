@@ -216,6 +216,10 @@ def test_a_heading_that_is_stuck_for_a_while_is_left_out_there(from_s, until_s, 
     assert not np.any((left.t_s > from_s + 4.0) & (left.t_s < until_s - 4.0))
     assert np.sum(left.t_s < from_s - 4.0) == np.sum(path.t_s < from_s - 4.0)
     assert seen.headed == headed
+    dead = rims(rows, np.positive, lambda u: u * ~stuck[1:])
+    found = look_at(trajectory(dead), real(rows, headed=headed), "one heading")
+    assert f"pivots about its right wheel from {from_s:.0f} s" in found.mistakes[0].said
+    assert found.odometry.t_s[-1] > until_s or until_s > path.t_s[-1]
 
 
 def test_straight_courses_beside_noisy_headings_are_no_stuck_heading():
@@ -252,6 +256,15 @@ def test_encoders_without_direction_and_yaw_rates_without_sign_are_refused(heade
     rows = driven() + np.array((0.0, 0.0, 0.2 / HZ))
     with pytest.raises(RecordingError, match="/odom never drives in reverse, the truth does in"):
         first_look(Look((trajectory(rims(rows, np.abs, np.abs)), real(rows, headed=headed))))
+
+
+@pytest.mark.parametrize("wheel", ["left", "right"])
+@pytest.mark.parametrize("seed", [1, 3, 6])
+def test_one_encoder_without_direction(seed, wheel):
+    rows = driven(seed)
+    signs = (np.abs, np.positive) if wheel == "left" else (np.positive, np.abs)
+    with pytest.raises(RecordingError, match=f"its {wheel} wheel never turns backwards|never drives in reverse"):
+        first_look(Look((trajectory(rims(rows, *signs)), real(rows))))
 
 
 def test_travel_sideways_that_is_not_counted():
