@@ -149,26 +149,6 @@ def test_only_ticks_that_hardly_move_an_increment_hide_losses():
     assert not hides_losses(counted(1e-4)[0])
 
 
-@pytest.mark.parametrize("tick_m", [None, 2e-3])
-def test_a_few_cruising_speeds_are_no_lattice_and_ticks_on_such_a_drive_are(tick_m):
-    rng = np.random.default_rng(11)
-    plateaus = np.array([0.01633, 0.01959, 0.01742, 0.01306])  # near 15, 18, 16 and 12 times 1.0886 mm
-    legs, last = [], 0.0
-    for leg in range(40):
-        speed = plateaus[leg % 4]
-        ramp = np.cumsum(np.full(3, (speed - last) / 4.0) + rng.normal(0.0, 2e-4, 3)) + last
-        legs += [ramp, np.full(int(rng.uniform(30, 60)), speed)]
-        last = speed
-    along = np.concatenate(legs)
-    if tick_m is not None:
-        along = tick_m * np.diff(np.floor(np.cumsum(np.append(0.0, along)) / tick_m))
-    steps = Increments(along, np.zeros_like(along), np.zeros_like(along))
-    run = recording(steps, accumulate(np.zeros(3), steps))
-    found = effects_of(run).get("quantization")
-    # without a track, a tick of the robot's travel is taken for that of one wheel of two
-    assert (found is None) if tick_m is None else found.step == pytest.approx(2.0 * tick_m, rel=0.01)
-
-
 def test_one_cruising_speed_over_one_and_two_sampling_intervals_is_no_lattice_of_ticks():
     rng = np.random.default_rng(8)
     dt_s = 0.01 * rng.choice([1, 2], 6000, p=[0.8, 0.2])

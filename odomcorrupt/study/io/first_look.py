@@ -802,7 +802,7 @@ def _aside(look: Look) -> Figures | None:
         rest = np.abs(there[:, 1:2] - here[:, ::2] @ _linear(here[:, ::2], there[:, 1:2])[0].T)[:, 0]
         usual = np.percentile(np.abs(there[:, 0]), 80.0)
         # where headings of the truth are turned for a while, it moves sideways only as the odometry drives
-        off = (rest > _MOVING * usual) & (np.abs(here[:, 0]) < rest / 2.0)
+        off = (rest > _MOVING * usual) & (rest < 2.0 * usual) & (np.abs(here[:, 0]) < rest / 2.0)
         return {"how": "never moves sideways, unlike"} if off.mean() > 0.02 and here[:, 1].std() < 0.1 * usual else None
     size = abs(side.value) / look.scales[0].value
     wrong = not 1.0 / _SKIDS < size < _WRONG
@@ -876,11 +876,11 @@ def _counter(count: int, wheel_m: float, increments_m: Array, rows: Array) -> Fi
     return {"count": count, "wheel_m": wheel_m, "width": width, "undo": lambda path: _moved_by(path, rows)}
 
 
-def _one_way(look: Look, axis: int, arm_m: float = 0.0) -> Figures | None:
-    """Find motions of the truth to a side of zero where the odometry's along an axis, or of a wheel, never are."""
-    here, there = (x + arm_m * x[:, 2:] for x in look.windows[:2])
+def _one_way(look: Look, axis: int) -> Figures | None:
+    """Find motions of the truth to a side of zero on which the odometry's motion along an axis never is."""
+    here, there, _ = look.windows
     # beside a centre of turning, a tracked point goes back in turns on the spot
-    straight = np.abs(there[:, 0]) > 0.5 * np.abs(there[:, 2]) if axis == 0 and not arm_m else here[:, 0] < np.inf
+    straight = np.abs(there[:, 0]) > 0.5 * np.abs(there[:, 2]) if axis == 0 else np.ones(len(here), dtype=bool)
     if axis == 0 and not look.paths[1].headed and np.percentile(here[:, 0], 1.0) >= 0.0:
         # positions alone show reverse as a course that flips between chords, where the odometry's goes on
         courses, seen, origin = [], np.ones(len(here), dtype=bool), int(look.paths[0].stamps_ns[0])
@@ -894,7 +894,7 @@ def _one_way(look: Look, axis: int, arm_m: float = 0.0) -> Figures | None:
         events = int(np.sum(np.diff(np.flatnonzero(back)) > 4)) + 1
         if events > 3 and np.sum((own > 2.6) & (real > 2.6)) < 0.2 * back.sum():
             return {"share": f"{events} places", "how": "goes on there"}
-    for side in (-1,) if arm_m else (-1, 1) if look.paths[1].headed or axis == 2 else ():
+    for side in (-1, 1) if look.paths[1].headed or axis == 2 else ():
         real, counted = moving(there[:, axis], side) & straight, moving(here[:, axis], side)
         if not real.any() or real.sum() < max(0.01 * len(real), 10.0 * counted.sum()):
             continue
@@ -904,17 +904,22 @@ def _one_way(look: Look, axis: int, arm_m: float = 0.0) -> Figures | None:
         low, high = np.percentile(here[other, axis] / there[other, axis], (25.0, 75.0)) if other.any() else (0.0, 0.0)
         if enough and 0.0 < high < 2.0 * low and np.mean(here[real, axis] * side > 0.0) < 0.1:
             how = "drives forwards there" if ahead else "stands there"
-            often = float(real.mean())
-            return {"often": often, "share": f"{often:.0%}", "how": how, "side": "right" if side < 0 else "left"}
+            return {"share": f"{real.mean():.0%}", "how": how, "side": "right" if side < 0 else "left"}
     return None
 
 
-def _wheel_one_way(look: Look) -> Figures | None:
-    """Find a wheel that never turns backwards, on whichever track."""
-    arms_m = np.multiply.outer(np.geomspace(0.03, 1.5, 40), (-1.0, 1.0)).ravel().tolist()
-    arms_m *= look.paths[1].headed and not look.scales[0].beyond(_WRONG)
-    found = (one | {"wheel": "left" if arm < 0.0 else "right"} for arm in arms_m if (one := _one_way(look, 0, arm)))
-    return max(found, key=lambda one: one["often"], default=None)
+def _unsigned_wheel(look: Look) -> Figures | None:
+    """Find a wheel that counts backwards as forwards, on whichever track."""
+    for arm_m in np.geomspace(0.03, 1.5, 40) if look.paths[1].headed else ():
+        for wheel, side in (("left", -1.0), ("right", 1.0)):
+            here, there = (x[:, 0] + side * arm_m * x[:, 2] for x in look.windows[:2])
+            back, ahead = (here[there_is] / there[there_is] for there_is in (moving(there, -1), moving(there, 1)))
+            if min(len(back), len(ahead)) > max(2 * _FEWEST, len(here) / 20) and all(
+                np.abs(np.percentile(part, (25.0, 75.0)) - sign).max() < 2.0 * _CLOSE
+                for part, sign in ((back, -1.0), (ahead, 1.0))
+            ):
+                return {"wheel": wheel, "share": f"{len(back) / len(here):.0%}"}
+    return None
 
 
 def _repeated(look: Look) -> Figures | None:
@@ -975,6 +980,8 @@ def _one_curvature(look: Look) -> Figures | None:
         # noise of the truth's headings does not add up, a gyro's dead band has no usual turns, and poses that are left
         # out make one even motion
         if few or np.ptp(here[a:b, 0]) < 1e-9 or min(_turned(look.paths[0]), np.ptp(off[a:b].cumsum()) / 4.0) < 1.0:
+            continue
+        if abs(_correlations(here[a:b], there[a:b])[2, 2]) > _FOLLOWS:  # commands of even curvature
             continue
         lost = (starts >= starts[a]) & (starts <= starts[b - 1])
         when = f"from {starts[a]:.0f} s to {starts[b - 1] + look.window_s:.0f} s"
@@ -1155,9 +1162,9 @@ PATTERNS = (
             "an unsigned yaw rate, or an angle from an arc cosine", "keep the sign; " + _RECORD, "",
             lambda look: _one_way(look, 2)),
     Pattern("wheel never reverses",
-            "{who}: its {wheel} wheel never turns backwards, the truth's does in {share} of its time; it {how}",
+            "{who}: its {wheel} wheel counts forwards where the truth's turns backwards ({share} of its time)",
             "an encoder without direction (one channel, or a counter that cannot count down)",
-            "count both channels, or give its counts the sign of the command; " + _RECORD, "", _wheel_one_way),
+            "count both channels, or give its counts the sign of the command; " + _RECORD, "", _unsigned_wheel),
     Pattern("turns otherwise",
             "{who} travels as the truth does, but its turns do not follow the truth's (correlation {corr})",
             "degrees given to a tangent or sine; the angle of another joint or axis", _RECORD, "", _turns_otherwise),

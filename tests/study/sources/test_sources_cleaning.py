@@ -213,13 +213,6 @@ def test_headings_that_repeat_the_odometry_are_noticed(read):
     assert "100% of its headings turn exactly as the odometry does" in noted(recordings, "of its headings")
 
 
-def test_headings_that_never_change_are_no_headings(read):
-    real = truth()
-    recordings = read(real=real.having(yaw=0.0 * real.yaw))
-    assert np.isnan(recordings[0].truth.xyt[:, 2]).all()
-    noted(recordings, "its headings never change: its positions alone are used")
-
-
 def test_localisation_on_top_of_the_odometry_is_noticed(tmp_path):
     moved = odometry()
     shift = Rows(moved.stamps_ns[::40], 0.02 * np.sin(moved.xyz[::40]), 0.01 * np.sin(moved.yaw[::40]))

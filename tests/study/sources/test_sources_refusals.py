@@ -93,13 +93,6 @@ def test_a_clock_that_is_many_seconds_off_within_the_overlap(refused, tmp_path):
     assert len(read_runs(Source(tmp_path / "run.mcap", truth_shift_s=shift))) == 1
 
 
-def test_a_small_offset_is_left_to_the_fit(read):
-    real = truth()
-    late = real.having(stamps_ns=real.stamps_ns + 1_500_000_000)
-    (recording,) = read(real=late)
-    assert recording.truth.stamps_ns[0] == late.stamps_ns[0]
-
-
 @pytest.mark.parametrize("rate_hz", [30.0, 50.0])
 def test_the_exact_poses_of_a_simulator_are_a_truth(read, rate_hz):
     (run,) = read(*(odometry(60.0, rate_hz=hz, scale=1.0, drift=0.0) for hz in (rate_hz, 100.0)))
