@@ -36,7 +36,7 @@ The rows are tested in this order, and each is undone before the next test:
 FIGURES = {
     "who": "/odom", "other": "/truth", "count": 100, "wheel_m": 0.944, "width": "often 16 bits", "speed": 310,
     "unit": "degrees, not radians", "factor": 0.0175, "plane": "x-z", "up": "y", "what": "never change", "off": 12.0,
-    "side": "left", "wheel": "left", "best": 0.9, "near": 0.1, "shift": 12.0, "corr": -1,
+    "side": "left", "best": 0.9, "near": 0.1, "shift": 12.0, "corr": -1,
     "fault": "whether the odometry or the truth is wrong, these data do not show", "share": "6%",
     "how": "drives forwards there", "far": 1000,
     "travels": "3.3 times as far as", "turns": "10 times as far as", "hint": "", "v": 0.303,
@@ -52,7 +52,8 @@ OWN = {
     "plane": {"who": "/truth"}, "headings of the truth": {"who": "/truth", "what": "are 0 or 180 deg alone"},
     "repeated poses": {"longest": 25.0, "count": 1},
     "clock rate": {"factor": 2.0}, "stands still": {"share": "50%"},
-    "unit of headings": {"causes": "degrees given to a function of radians, or yaw for yaw / 2 in a quaternion"},
+    "whole steps": {"steps": "increments are whole steps of 1 mm", "lost": "0.9 +- 0.1"},
+    "whole positions": {"step": "10 mm", "far": 22, "few": 5},
     "unit of stamps": {"unit": "milliseconds"},
     "turns too far": {"usual": 4, "causes": "wheel separation, or radius, in other units; degrees for radians"},
     "Euler steps": {"at": "beginning", "most": 22},

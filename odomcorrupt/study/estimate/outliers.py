@@ -24,6 +24,7 @@ from odomcorrupt.study.estimate.config import INTERVAL_S
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.whitener import interval_covariance
 from odomcorrupt.study.io.clock import aligned
+from odomcorrupt.study.io.first_look import weighted_median
 from odomcorrupt.study.io.headings import with_recomputed_headings
 
 if TYPE_CHECKING:
@@ -305,7 +306,7 @@ def slip_bursts(fit: Fit) -> Effect | None:
         return None
     intervals, spacing_s = fit.problem.intervals, fit.problem.approach.spacing_s
     behind = slips > 0.0
-    slip, length_s = (_usual(values[behind], lost_m[behind]) for values in (slips, long_s))
+    slip, length_s = (weighted_median(values[behind], lost_m[behind]) for values in (slips, long_s))
     # intervals at both ends of a burst are in it in part
     duration = max(length_s - spacing_s, 0.5 * spacing_s)
     seconds = float(np.sum(intervals.end_s - intervals.start_s))
@@ -315,13 +316,6 @@ def slip_bursts(fit: Fit) -> Effect | None:
     sized: dict[str, float | str] = {name: float(np.clip(v, *bounds[name])) for name, v in seen.items()}
     words = _words([event for event in lasting if event.slip > 0.0], track_m)
     return effect_from_values("slip_burst", sized | words)
-
-
-def _usual(values: Array, weights: Array) -> float:
-    """Return the weighted median of values (n,)."""
-    order = np.argsort(values)
-    share = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(share, 0.5 * share[-1])])
 
 
 def during(fit: Fit, stretches: Sequence[Event]) -> NDArray[np.bool_]:

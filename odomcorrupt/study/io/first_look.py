@@ -15,7 +15,9 @@ import numpy as np
 
 from odomcorrupt.drive_types import STEERED
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.effects.compensation import corrected_increments
 from odomcorrupt.errors import RecordingError
+from odomcorrupt.geometry.motion import motion_of, step_of
 from odomcorrupt.geometry.se2 import Increments, accumulate, between, increments, wrap
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.study.io.plausibility import check_pair, cross_correlation
@@ -62,7 +64,8 @@ _FAST_MPS, _ROBOT_MPS = 60.0, 10.0
 _DEGREE = 180.0 / np.pi
 READINGS = {
     1.0: "", -1.0: "", 1.0 / _DEGREE: "degrees, not radians", -1.0 / _DEGREE: "degrees of a compass (clockwise)",
-    _DEGREE: "read as degrees, but are radians", 0.5: "twice the angle", 2.0: "half of the angle",
+    _DEGREE: "read as degrees, but are radians",
+    0.5: "twice the angle (z = sin(yaw), w = cos(yaw))", 2.0: "half of the angle",
 }  # fmt: skip
 """Factors by which headings may have to be multiplied, and what they are then."""
 UNITS = {"feet": 1.0 / 0.3048, "inches": 1.0 / 0.0254, "centimetres": 100.0, "millimetres": 1000.0}
@@ -98,13 +101,14 @@ def ratio_of(a: Array, b: Array) -> Ratio:
     each, weight = b[a != 0.0] / a[a != 0.0], np.abs(a[a != 0.0])
     if not len(each):
         return Ratio()
+    value = weighted_median(each, weight)
+    return Ratio(value, 1.48 * weighted_median(np.abs(each - value), weight) / max(abs(value), 1e-12), len(each))
 
-    def median(x: Array) -> float:
-        total = np.cumsum(weight[np.argsort(x)])
-        return float(np.sort(x)[np.searchsorted(total, total[-1] / 2.0)])
 
-    value = median(each)
-    return Ratio(value, 1.48 * median(np.abs(each - value)) / max(abs(value), 1e-12), len(each))
+def weighted_median(x: Array, weight: Array) -> float:
+    """Return the weighted median of values (n,)."""
+    total = np.cumsum(weight[np.argsort(x)])
+    return float(np.sort(x)[np.searchsorted(total, total[-1] / 2.0)])
 
 
 class _Travel(NamedTuple):
@@ -478,13 +482,11 @@ def factors_of(recordings: Sequence[Recording]) -> tuple[Effect, ...]:
     All recordings are of one robot, so the first one counts.
     """
     (travel, turn), drive_type = recordings[0].gains, recordings[0].drive_type
-    if travel == turn:
-        return (effect_from_values("wheel_scale", {"e": travel - 1.0}),) if travel != 1.0 else ()
-    found = [effect_from_values("wheel_scale", {"e": travel - 1.0, "heading": "gyro"})] if travel != 1.0 else []
-    if turn != 1.0 and drive_type in STEERED:
-        found.append(effect_from_values("steering_scale", {"e": turn - 1.0}))
-    elif turn != 1.0:
-        found.append(effect_from_values("wheelbase", {"e": 1.0 / turn - 1.0}))
+    heading = {} if travel == turn else {"heading": "gyro"}
+    found = [effect_from_values("wheel_scale", {"e": travel - 1.0, **heading})] if travel != 1.0 else []
+    if turn not in (1.0, travel):
+        name, e = ("steering_scale", turn - 1.0) if drive_type in STEERED else ("wheelbase", 1.0 / turn - 1.0)
+        found.append(effect_from_values(name, {"e": e}))
     return tuple(found)
 
 
@@ -526,13 +528,7 @@ def _unit_of_headings(look: Look, i: int) -> Figures | None:
         fits = [round(_concentration(2.0 * (course - yaw[middle])), 6) for yaw in readings]
         return _ahead(replace(path, yaw_rad=readings[int(np.argmax(fits))]))
 
-    causes = f"{_DEGREES}, or the other way round; a column with the wrong name"
-    causes = (
-        "yaw, or a quarter of it, for yaw / 2 in z = sin(yaw / 2), w = cos(yaw / 2)"
-        if "angle" in READINGS[factor]
-        else causes
-    )
-    return {"i": i, "factor": factor, "unit": READINGS[factor], "causes": causes, "undo": undo}
+    return {"i": i, "factor": factor, "unit": READINGS[factor], "undo": undo}
 
 
 def _degrees_in_cosines(look: Look) -> Figures | None:
@@ -908,18 +904,45 @@ def _one_way(look: Look, axis: int) -> Figures | None:
     return None
 
 
-def _unsigned_wheel(look: Look) -> Figures | None:
-    """Find a wheel that counts backwards as forwards, on whichever track."""
-    for arm_m in np.geomspace(0.03, 1.5, 40) if look.paths[1].headed else ():
-        for wheel, side in (("left", -1.0), ("right", 1.0)):
-            here, there = (x[:, 0] + side * arm_m * x[:, 2] for x in look.windows[:2])
-            back, ahead = (here[there_is] / there[there_is] for there_is in (moving(there, -1), moving(there, 1)))
-            if min(len(back), len(ahead)) > max(2 * _FEWEST, len(here) / 20) and all(
-                np.abs(np.percentile(part, (25.0, 75.0)) - sign).max() < 2.0 * _CLOSE
-                for part, sign in ((back, -1.0), (ahead, 1.0))
-            ):
-                return {"wheel": wheel, "share": f"{len(back) / len(here):.0%}"}
-    return None
+def _whole_steps(look: Look) -> Figures | None:
+    """Find increments or speeds that are multiples of a step, and by which the truth travels farther than they say."""
+    path, (here, there, (starts, _)) = look.paths[0], look.windows
+    rows, dt_s = increments(path.trajectory().xyt).rows, np.diff(path.t_s)
+    speeds = step_of(rows[:, 0]) is None
+    per = dt_s if speeds else np.ones(len(dt_s))
+    step, turn = (step_of(rows[:, k] / per) or 0.0 for k in (0, 2))
+    if step <= 0.01 * np.percentile(np.abs(rows[:, 0] / per), 90.0) or not look.scales[0].sure or look.sideways:
+        return None
+    counted = step * np.concatenate(([0.0], np.cumsum(np.sign(rows[:, 0]) * per)))
+    steps, off = _Travel(path.t_s, counted[:, None]).within(starts, look.window_s)[:, 0], there[:, 0] - here[:, 0]
+    used = moving(here[:, 0]) & (np.abs(off) <= 6.0 * np.median(np.abs(off)))
+    # beside a scale error of some percent; windows overlap four times
+    noise = 2.0 * float(np.std(off[used])) + 1e-9
+    design = np.column_stack((here[used, 0], steps[used])) / noise
+    inverse = np.linalg.pinv(design.T @ design + np.diag((1.0 / 0.02**2, 0.0)))
+    lost, error = float((inverse @ design.T @ off[used])[1]) / noise, float(np.sqrt(inverse[1, 1]))
+    # increments of ticks lose nothing; speeds in steps do, unless they are rounded
+    near = abs(lost - 1.0) < max(0.2, 2.5 * error)
+    if not (speeds and near) and not (max(0.25, 2.5 * error) < lost < 2.0 and (near or not turn)):
+        return None
+    # each wheel loses half a step on average; of two wheels, travel has steps of half of theirs
+    wheel = 2.0 * step if turn or lost > _CLEAR else step
+    sizes = {"step": wheel / float(np.median(dt_s / per)), "track": 2.0 * step / turn if turn else 0.0}
+    effect, motion = effect_from_values("truncated_counts", sizes), motion_of(path.t_s, path.trajectory().xyt)
+    mended = corrected_increments([effect], motion).rows
+    said = f"{'speeds' if speeds else 'increments'} are whole steps of {1e3 * wheel:.3g} mm{'/s' * speeds}"
+    return {"steps": said, "lost": f"{lost:.2f} +- {error:.2f}", "undo": lambda path: _moved_by(path, mended)}
+
+
+def _whole_positions(look: Look, i: int) -> Figures | None:
+    """Find positions that are multiples of a step which is not small beside the travel between messages."""
+    xy = look.paths[i].xyz[:, :2]
+    low, high = sorted(step_of(x - x[0]) or 0.0 for x in xy.T)
+    far = float(np.percentile(np.linalg.norm(np.diff(xy, axis=0), axis=1), 95.0))
+    if low <= 0.2 * far or high > 1.01 * low or not far:
+        return None
+    few, words = int(10.0 * low / far) + 1, {"step": f"{1e3 * low:.3g} mm", "far": 1e3 * far}
+    return {"i": i, "few": few, **words, "undo": lambda p: p.only(np.arange(0, len(p), few))}
 
 
 def _repeated(look: Look) -> Figures | None:
@@ -976,12 +999,11 @@ def _one_curvature(look: Look) -> Figures | None:
         runs = runs_of(np.asarray(np.abs(here[:, 2] - bend * here[:, 0]) < 1e-6 + 1e-3 * np.abs(here[:, 2])))
         a, b = max(runs, key=lambda run: turns[run[0] : run[1]].sum(), default=(0, 0))
         many = turns[a:b].sum()
-        few = many * look.window_s < 40.0 or turns.sum() - many < _FEWEST
+        few = a == b or many * look.window_s < 40.0 or turns.sum() - many < _FEWEST
         # noise of the truth's headings does not add up, a gyro's dead band has no usual turns, and poses that are left
         # out make one even motion
-        if few or np.ptp(here[a:b, 0]) < 1e-9 or min(_turned(look.paths[0]), np.ptp(off[a:b].cumsum()) / 4.0) < 1.0:
-            continue
-        if abs(_correlations(here[a:b], there[a:b])[2, 2]) > _FOLLOWS:  # commands of even curvature
+        few = few or np.ptp(here[a:b, 0]) < 1e-9 or min(_turned(look.paths[0]), np.ptp(off[a:b].cumsum()) / 4.0) < 1.0
+        if few or abs(_correlations(here[a:b], there[a:b])[2, 2]) > _FOLLOWS:  # commands of even curvature
             continue
         lost = (starts >= starts[a]) & (starts <= starts[b - 1])
         when = f"from {starts[a]:.0f} s to {starts[b - 1] + look.window_s:.0f} s"
@@ -1102,7 +1124,8 @@ PATTERNS = (
     Pattern("degrees in cosines", "{who}: its steps go along 57.3 times its heading, and it turns as {other} does",
             "x += v cos(yaw) dt with yaw in degrees", "convert to radians before cos and sin",
             "its path is made again of its steps and headings", _degrees_in_cosines),
-    Pattern("unit of headings", "{who}: its headings, not its path, are of another unit: {unit}", "{causes}",
+    Pattern("unit of headings", "{who}: its headings, not its path, are of another unit: {unit}",
+            _DEGREES + ", or the other way round; a column with the wrong name; yaw for yaw / 2 in a quaternion",
             "name the column yaw_deg or yaw_rad, as it is; for a bag, convert before making quaternions",
             "its headings are multiplied by {factor}", _unit_of_headings, alone=True),
     Pattern("folded headings", "{who}: its headings are of half a circle alone, and jump by 180 deg {count} times",
@@ -1114,6 +1137,9 @@ PATTERNS = (
     Pattern("mirrored headings", "{who}: its headings turn the other way than its path does",
             "an axis is mirrored; compass headings", "turn a compass by 90 deg - yaw, or flip the axis",
             "mirrored so that it turns as {other} does", _mirrored_headings, alone=True),
+    Pattern("whole positions", "{who}: its positions are whole multiples of {step}, and it travels {far} mm at most "
+            "between messages", "integers or few digits", "publish positions as they are computed",
+            "one pose of {few} is used", _whole_positions, alone=True),
     Pattern("plane", "{who}: moves in its {plane} plane, not in x-y: {up} points up there",
             "axes of a camera or of a game", "turn it so that z points up",
             "turned so; its positions alone are used", _upright),
@@ -1139,6 +1165,10 @@ PATTERNS = (
     Pattern("turns too far",
             "{who} turns by {most} deg and more between messages, {other} by {usual}: beyond 180 deg turns are lost",
             "{causes}", "give lengths in metres and angles in radians; " + _RECORD, "", _turns_too_far),
+    Pattern("whole steps", "{who}: its {steps} of a wheel, and the rest is lost: the truth travels {lost} half "
+            "steps farther each time", "integers in a loop or a protocol, cut off",
+            "keep the remainder for the next cycle, or take floating point",
+            "half a step is added to each wheel, and not in the model", _whole_steps),
     Pattern("wheel gains", "{who} moves as with wheels {each} (this explains {explained})",
             "{cause}", "{change}", "{then}", _wheel_gains),
     Pattern("turned axes", "{who} drives {angle} deg to the {side} of where {other} drives",
@@ -1161,10 +1191,6 @@ PATTERNS = (
     Pattern("never turns one way", "{who} never turns {side}, the truth does in {share} of its time",
             "an unsigned yaw rate, or an angle from an arc cosine", "keep the sign; " + _RECORD, "",
             lambda look: _one_way(look, 2)),
-    Pattern("wheel never reverses",
-            "{who}: its {wheel} wheel counts forwards where the truth's turns backwards ({share} of its time)",
-            "an encoder without direction (one channel, or a counter that cannot count down)",
-            "count both channels, or give its counts the sign of the command; " + _RECORD, "", _unsigned_wheel),
     Pattern("turns otherwise",
             "{who} travels as the truth does, but its turns do not follow the truth's (correlation {corr})",
             "degrees given to a tangent or sine; the angle of another joint or axis", _RECORD, "", _turns_otherwise),

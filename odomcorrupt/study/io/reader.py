@@ -36,12 +36,7 @@ from odomcorrupt.study.io.segments import independent_parts, without_frozen, wit
 from odomcorrupt.study.io.stamps import between_steps, even_stamps, jitter_warnings, stamp_jitter_s
 from odomcorrupt.study.io.text import is_text, read_text
 from odomcorrupt.study.io.topic_selection import FLAGS, has_truth
-from odomcorrupt.study.io.warnings import (
-    check_identity,
-    dead_band_warnings,
-    filter_warnings,
-    without_course,
-)
+from odomcorrupt.study.io.warnings import check_identity, dead_band_warnings, filter_warnings, without_course
 from odomcorrupt.study.io.wheel_ticks import odometry_of_wheels, read_wheels, wheels_of
 from odomcorrupt.study.io.yaw_dead_band import yaw_dead_band
 
@@ -363,7 +358,8 @@ def recordings_of(
     # The reader of laser scans has checked their stamps already.
     jitter_s = stamp_jitter_s(calm, real), stamp_jitter_s(real, calm) if truth.covariance is None else 0.0
     said += filter_warnings(calm, real, feedback)
-    dead_band_radps = yaw_dead_band(calm, real)
+    cut = "whole steps" in (mistake.name for mistake in found.mistakes)
+    dead_band_radps = 0.0 if cut else yaw_dead_band(calm, real)
     said += dead_band_warnings(calm, dead_band_radps)
     said += jitter_warnings(calm, jitter_s[0]) + jitter_warnings(real, jitter_s[1])
     odometry = feedback.free

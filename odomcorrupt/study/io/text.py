@@ -207,7 +207,9 @@ def read_text(path: Path, place: str) -> Samples:
                 if columns.y_up:
                     across, height = np.nan_to_num(_poses(batch, columns, ComponentOrder()))[:, 1:3].std(axis=0)
                     columns = replace(columns, y_up=bool(height <= 10.0 * across))
-            stamps.append(_stamps_ns(batch, columns, tick))
+            stamps.append(np.array([row.nanoseconds(columns.time, tick) for row in batch]))
+            if columns.nanoseconds is not None:
+                stamps[-1] += np.array([row.nanoseconds(columns.nanoseconds, 1) for row in batch])
             poses.append(_poses(batch, columns, order))
             if len(stamps) * _BATCH > _MAX_LINES:
                 raise RecordingError(f"{place}: more than {_MAX_LINES} lines; thin it out")
@@ -259,13 +261,6 @@ def _motive_header(take: Row, lines: Iterator[Row], place: str) -> list[str]:
     columns = zip(kinds, *heads[-2:], strict=False)
     names = (f"{quantity} {axis} {unit}" if kind == "Rigid Body" else "unused" for kind, quantity, axis in columns)
     return [*heads[-1][:2], *itertools.islice(names, 2, None)]
-
-
-def _stamps_ns(rows: list[Row], columns: Columns, tick_ns: int) -> NDArray[np.int64]:
-    stamps = np.array([row.nanoseconds(columns.time, tick_ns) for row in rows])
-    if columns.nanoseconds is not None:
-        stamps += np.array([row.nanoseconds(columns.nanoseconds, 1) for row in rows])
-    return stamps
 
 
 def _poses(rows: list[Row], columns: Columns, order: ComponentOrder) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, wrap
-from odomcorrupt.study.io.first_look import moving, travel_of
+from odomcorrupt.study.io.first_look import Look, moving, travel_of
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
@@ -25,10 +25,8 @@ _MOVES = 1e-4
 _MIN_STEPS = 10
 _SHRINKS = 0.7  # ratio of successive variances
 _MIN_CORRECTIONS = 5
-_STRIDE_S, _MIN_BACK_M, _MIN_BACKINGS = 0.5, 0.05, 6
-"""Interval, least length and least number of steps that count as backing up."""
 _MOSTLY, _NEARLY_ALL = 0.6, 0.9
-"""Fractions of steps back and ahead along the heading that identify courses; an unrelated drive has one half."""
+"""Fractions of motions back and ahead along the heading that identify courses; an unrelated drive has one half."""
 
 
 def check_identity(odometry: Samples, truth: Samples) -> list[str]:
@@ -135,17 +133,12 @@ def without_course(odometry: Samples, truth: Samples) -> Samples:
 
     A receiver with one antenna reports its course over ground: reversed when backing up, and arbitrary at rest.
     """
-    if not truth.headed or truth.relative or truth.span_s < _MIN_STEPS * _STRIDE_S:
+    if not truth.headed or truth.relative:
         return truth
-    t_s = truth.t_s
-    rows = np.unique(np.searchsorted(t_s, np.arange(0.0, t_s[-1], _STRIDE_S)))
-    step, own = _steps(odometry, truth.only(rows))
-    straight = np.abs(own[:, 0]) > np.maximum(_MIN_BACK_M, 2.0 * np.abs(own[:, 1]))
-    ahead, back = straight & (own[:, 0] > 0.0), straight & (own[:, 0] < 0.0)
-    forwards = step[:, 0] > 0.5 * np.abs(own[:, 0])
-    if min(back.sum(), ahead.sum()) < _MIN_BACKINGS or not (
-        np.mean(forwards[back]) > _MOSTLY and np.mean(forwards[ahead]) > _NEARLY_ALL
-    ):
+    here, there, _ = Look((odometry, truth)).motions
+    forwards = there[:, 0] > 0.5 * np.abs(here[:, 0])
+    back, ahead = (forwards[moving(here[:, 0], side)] for side in (-1, 1))
+    if min(len(back), len(ahead)) < 2 * _MIN_STEPS or not (back.mean() > _MOSTLY and ahead.mean() > _NEARLY_ALL):
         return truth
     return truth.without_headings().noted(
         "its headings point to where it moves, also when the robot backs up: taken as positions alone"

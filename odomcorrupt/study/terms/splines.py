@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.study.terms.basis.place import spread
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
@@ -57,7 +59,9 @@ def curve_regressors(
     if not placed:
         return regressors
     regressors["heading"] = _harmonics
-    xs, ys = (_spread(np.concatenate(axis)) for axis in ([m.x for m in motions], [m.y for m in motions]))
+    xs, ys = (
+        spread(np.concatenate(axis), (0.02, 0.98), _GRID) for axis in ([m.x for m in motions], [m.y for m in motions])
+    )
     regressors["position"] = _tiles(xs, ys)
     return regressors
 
@@ -69,12 +73,6 @@ def _apart(knots: Array) -> Array:
         if knot - kept[-1] > least:
             kept.append(knot)
     return np.array(kept)
-
-
-def _spread(values: Array) -> Array:
-    """Return grid lines that span nearly all of the values."""
-    low, high = np.quantile(values, 0.02), np.quantile(values, 0.98)
-    return np.linspace(float(low), float(high), _GRID)
 
 
 def _hats(value: Callable[[Motion], Array], knots: Array) -> Callable[[Motion], tuple[Array, Array]]:

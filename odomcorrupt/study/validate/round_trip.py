@@ -139,12 +139,9 @@ def _setup_note(model: MotionModel, drives: Sequence[_Drive]) -> list[str]:
     return [said]
 
 
-def _clock(model: MotionModel, recording: Recording) -> Clock:
-    return Clock(*model.setup.clocks.get(recording.name, (0.0, 0.0)))
-
-
 def _drive(model: MotionModel, recording: Recording) -> _Drive:
-    whole = overlapping(with_recomputed_headings(aligned(recording, _clock(model, recording))))
+    clock = Clock(*model.setup.clocks.get(recording.name, (0.0, 0.0)))
+    whole = overlapping(with_recomputed_headings(aligned(recording, clock)))
     smooth, _ = smooth_truth(whole)
     return _Drive(whole, smooth)
 

@@ -32,7 +32,7 @@ _BOX_ANGLES = (0.0, np.pi / 6.0, np.pi / 3.0)  # of rectangles, rad
 
 def functions_of_place(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
     """Yield every function of the place to be tried on these motions."""
-    xs, ys = (_spread(np.concatenate([getattr(m, axis) for m in motions])) for axis in ("x", "y"))
+    xs, ys = (spread(np.concatenate([getattr(m, axis) for m in motions]), _OUTER, _PLACES) for axis in ("x", "y"))
     for x, y, radius in product(xs, ys, _RADII_M):
         yield _disc((float(x), float(y), radius))
         yield _iron((float(x), float(y), 0.5 * radius))
@@ -157,10 +157,10 @@ def _less(metres: float) -> str:
     return f"{'-' if metres >= 0.0 else '+'} {round(abs(metres), 3):.10g}"
 
 
-def _spread(values: Array) -> Array:
-    """Return places (_PLACES,) along an axis that span nearly all of the values."""
-    low, high = np.quantile(values, _OUTER)
-    return np.linspace(float(low), float(high), _PLACES)
+def spread(values: Array, outer: tuple[float, float], count: int) -> Array:
+    """Return places (count,) along an axis between two quantiles of the values."""
+    low, high = np.quantile(values, outer)
+    return np.linspace(float(low), float(high), count)
 
 
 def _within(x: float, y: float, radius: float) -> Of:
