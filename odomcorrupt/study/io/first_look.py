@@ -910,7 +910,10 @@ def _whole_steps(look: Look) -> Figures | None:
     rows, dt_s = increments(path.trajectory().xyt).rows, np.diff(path.t_s)
     speeds = step_of(rows[:, 0]) is None
     per = dt_s if speeds else np.ones(len(dt_s))
-    step, turn = (step_of(rows[:, k] / per) or 0.0 for k in (0, 2))
+    # odometry that hardly turns has few steps of turns, from which no step is refined
+    turns = np.abs(rows[:, 2] / per)[np.abs(rows[:, 2]) > 1e-9]
+    step, turn = step_of(rows[:, 0] / per) or 0.0, float(turns.min(initial=np.inf))
+    turn = turn if len(turns) and np.mean(np.abs(turns / turn - np.rint(turns / turn)) < 0.02) > 0.99 else 0.0
     if step <= 0.01 * np.percentile(np.abs(rows[:, 0] / per), 90.0) or not look.scales[0].sure or look.sideways:
         return None
     counted = step * np.concatenate(([0.0], np.cumsum(np.sign(rows[:, 0]) * per)))
@@ -930,6 +933,7 @@ def _whole_steps(look: Look) -> Figures | None:
     sizes = {"step": wheel / float(np.median(dt_s / per)), "track": 2.0 * step / turn if turn else 0.0}
     effect, motion = effect_from_values("truncated_counts", sizes), motion_of(path.t_s, path.trajectory().xyt)
     mended = corrected_increments([effect], motion).rows
+    mended[:, 2] = mended[:, 2] if turn else rows[:, 2]
     said = f"{'speeds' if speeds else 'increments'} are whole steps of {1e3 * wheel:.3g} mm{'/s' * speeds}"
     return {"steps": said, "lost": f"{lost:.2f} +- {error:.2f}", "undo": lambda path: _moved_by(path, mended)}
 
