@@ -147,8 +147,8 @@ def _change_lines(search: Learned, fit: Fit, written: MotionModel | None) -> lis
     if written is None or not own:
         return []
     if any(effect.name == "unequal_wheels" for effect in own) and written.track_m is None:
-        steers = "" if search.drive_type.stated else ", or the zero of its steering is off: give --drive-type car"
-        return [Line("change", f"wheel radii differ: give --track{steers}", weight=FIRST)]
+        steers = "" if search.drive_type.stated else ", or its steering's zero (--drive-type car)"
+        return [Line("change", f"wheel radii differ (--track){steers}", weight=FIRST)]
     separation, left, right = wheel_multipliers(replace(written, effects=tuple(own))).values()
     radius = 0.5 * (left + right)
     sizes = {"wheel_separation": separation, **({"wheel_radius": radius} if left == right else {})}
