@@ -943,7 +943,8 @@ def _whole_positions(look: Look, i: int) -> Figures | None:
     xy = look.paths[i].xyz[:, :2]
     low, high = sorted(step_of(x - x[0]) or 0.0 for x in xy.T)
     far = float(np.percentile(np.linalg.norm(np.diff(xy, axis=0), axis=1), 95.0))
-    if low <= 0.2 * far or high > 1.01 * low or not far:
+    # a drive along the axes at one speed has steps of one length
+    if low <= 0.2 * far or high > 1.01 * low or len(np.unique(np.rint(np.abs(np.diff(xy, axis=0)) / low))) < 3:
         return None
     few, words = int(10.0 * low / far) + 1, {"step": f"{1e3 * low:.3g} mm", "far": 1e3 * far}
     return {"i": i, "few": few, **words, "undo": lambda p: p.only(np.arange(0, len(p), few))}

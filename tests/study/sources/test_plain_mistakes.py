@@ -304,7 +304,7 @@ def test_overflows_are_counted_and_taken_out(bits, wheel_m):
         ("mirrored headings", lambda one: {"yaw_rad": -one.yaw_rad}),
         ("mirrored headings", lambda one: {"xyz": one.xyz * [1.0, -1.0, 1.0]}),
         ("folded headings", lambda one: {"yaw_rad": one.yaw_rad % np.pi}),
-        ("whole positions", lambda one: {"xyz": np.round(one.xyz, 2)}),
+        ("whole positions", lambda one: {"xyz": 4e-3 * np.rint(one.xyz / 4e-3)}),
     ],
 )
 def test_headings_against_their_own_path(at, name, wrong):
