@@ -11,7 +11,6 @@ from odomcorrupt.effects.effect import Effect, amplitudes, choices, parameters
 from odomcorrupt.effects.ground import RegionSlip
 from odomcorrupt.report.comparison import rejection, reproduction_sentence, size, within
 from odomcorrupt.report.plain import picked
-from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.drive_type import readings_of
 from odomcorrupt.study.estimate.outliers import Event, events, single_events
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, part_name
@@ -399,13 +398,6 @@ def found_text(
     for unknown in foremost(dependences_found(learned, fit), 3):
         lines += _unknown_lines(unknown)
     lines += [_event_line(one) for one in single_events(learned.fit)]
-    like_a_clock = [name for name in learned.added if name in RIVALS]
-    if like_a_clock and learned.clocks.ambiguous_nats > 0.0:
-        lines.append(
-            f"{' and '.join(like_a_clock)} or a clock that is off: these data do not separate them, because the clock "
-            "is significant only without them; give the offset if it is known (--truth-shift), or speed up and brake "
-            "hard at two speeds, with turns on the spot between"
-        )
     lines += [_disagreement_line(one, learned) for one in learned.disagreements]
     lines += [contradiction(one) for one in learned.contradicted]
     small = {name: learned.contributions[name].ten_seconds for name in learned.added if learned.is_negligible(name)}

@@ -25,10 +25,12 @@ LATE_S = 0.06
 def drive(seed: int, late_s: float = 0.0):
     """Return three minutes of a robot with unequal wheels beside a total station, which measures positions only."""
     run = as_recording(simulate(seed, "unequal_wheels", duration_s=180.0, robot_seed=93), f"drive {seed}")
-    xyt = run.truth.xyt.copy()
-    xyt[:, 2] = np.nan
-    stamps_ns = run.truth.stamps_ns + round(late_s * 1e9)
-    return replace(run, truth=replace(run.truth, xyt=xyt, stamps_ns=stamps_ns))
+    return without_headings(run, late_s)
+
+
+def without_headings(run, late_s=0.0):
+    xyt = np.where([True, True, False], run.truth.xyt, np.nan)
+    return replace(run, truth=replace(run.truth, xyt=xyt, stamps_ns=run.truth.stamps_ns + round(late_s * 1e9)))
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +45,7 @@ def held():
 
 
 def test_beside_a_truth_of_positions_the_clock_is_estimated_without_the_bends_of_the_model(right, held):
-    approach = choose_approach([held])
-    found = clocks_beside([held], approach, right)
+    found = clocks_beside([held], choose_approach([held]), right)
     assert abs(found.clocks[0].offset_s + LATE_S) < 0.002
     assert found.ranges_s[0][0] < -LATE_S < found.ranges_s[0][1]
 
@@ -52,11 +53,9 @@ def test_beside_a_truth_of_positions_the_clock_is_estimated_without_the_bends_of
 @pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 def test_a_right_model_is_rejected_for_an_error_of_the_clock_only_if_the_clock_is_known_better(right, held, known):
-    error_s, off_s = 0.0005 if known else 0.004, 0.006
-    at_s = -LATE_S + off_s
-    clocks = Clocks(
-        (Clock(at_s),), ((True, False),), ((error_s, 0.0),), ranges_s=((at_s - 2 * error_s, at_s + 2 * error_s),)
-    )
+    error_s, at_s = 0.0005 if known else 0.004, 0.006 - LATE_S
+    near_s = ((at_s - 2 * error_s, at_s + 2 * error_s),)
+    clocks = Clocks((Clock(at_s),), ((True, False),), ((error_s, 0.0),), ranges_s=near_s)
     models = {"without effects": replace(right, effects=()), "right": right}
     wrong, own = compare([held], models, clocks=clocks).evaluations
     assert (wrong.verdict.fails, own.verdict.fails) == (True, known)
@@ -74,10 +73,7 @@ def test_slip_at_starts_and_stops_is_not_passed_off_as_a_clock():
 
 
 def test_an_effect_of_the_heading_in_the_world_is_taken_out_of_a_recording_whose_truth_has_none():
-    recording = as_recording(simulate(93, "slope", duration_s=60.0))
-    xyt = recording.truth.xyt.copy()
-    xyt[:, 2] = np.nan
-    recording = replace(recording, truth=replace(recording.truth, xyt=xyt))
+    recording = without_headings(as_recording(simulate(93, "slope", duration_s=60.0)))
     slope = effect_from_values("slope", {"creep": 0.01, "direction": 0.5})
     model = MotionModel(preset_named("typical").noise, effects=(slope,))
     clocks = clocks_beside([recording], choose_approach([recording]), model)

@@ -88,9 +88,8 @@ def test_terms_of_one_group_exclude_each_other_and_kinds_are_limited(columns):
 def test_a_gain_in_one_fold_alone_is_not_clear(columns):
     fold = np.arange(ROWS) // 40 % FOLDS
     column = columns[:, :1] * np.where(fold == 3, 1.0, 1e-2)[:, None]
-    y = 0.5 * columns[:, 0] * (fold == 3) * np.sign(np.sin(np.arange(ROWS))) + np.random.default_rng(5).standard_normal(
-        ROWS
-    )
+    noise = np.random.default_rng(5).standard_normal(ROWS)
+    y = 0.5 * columns[:, 0] * (fold == 3) * np.sign(np.sin(np.arange(ROWS))) + noise
     evidence, _ = evidence_of(np.column_stack((column, columns[:, 1:])), y, cost=np.zeros(TERMS))
     assert 0 not in Search.of(evidence).clear_parts(1.5)
 
@@ -98,8 +97,24 @@ def test_a_gain_in_one_fold_alone_is_not_clear(columns):
 def test_a_refused_set_is_not_offered_again(columns):
     y = 0.2 * columns[:, [3, 6]].sum(axis=1) + np.random.default_rng(6).standard_normal(ROWS)
     evidence, _ = evidence_of(columns, y)
-    search = Search.of(evidence)
-    refused = search.best
+    refused = (search := Search.of(evidence)).best
     assert {3, 6} <= set(refused)
-    search.refuse(refused, ())
+    search.refuse(refused)
     assert len(search.best) <= max(len(refused) // 2, 1)
+
+
+@pytest.mark.parametrize(("share", "copied"), [(0.999, True), (0.9, False)])
+def test_a_threshold_beyond_nearly_all_data_is_a_copy_of_the_plain_term(columns, share, copied):
+    columns[:, -1] = columns[:, 0] * (np.arange(ROWS) < share * ROWS)
+    evidence, _ = evidence_of(columns, columns[:, 0])
+    assert evidence.copies(np.arange(TERMS) < 2).tolist() == [False] * (TERMS - 1) + [copied]
+
+
+def test_a_search_adds_few_terms_and_counts_their_prior(columns):
+    y = 0.2 * columns[:, :6].sum(axis=1) + np.random.default_rng(8).standard_normal(ROWS)
+    evidence, _ = evidence_of(columns, y)
+    assert len(first := Search.of(evidence).best) == 3
+    assert Search.of(evidence, first).best == tuple(range(6))
+    firm, _ = evidence_of(columns, y, precision=np.full(TERMS, 100.0))
+    one = firm.gains([(0,)])
+    assert one.score[0] == pytest.approx(one.folds[0].sum() - COST - 50.0 * firm.estimate((0,))[0] ** 2)

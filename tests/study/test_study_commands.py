@@ -29,8 +29,8 @@ def test_a_mounting_that_the_model_has_is_not_missing(tmp_path, capsys):
 def test_learned_and_held_out_recordings_keep_their_own_clocks(tmp_path, capsys):
     late = ("--effect", "time_offset", "--robot", "5", "--duration", "80")
     bags = [simulated(tmp_path / f"s{seed}.mcap", *late, "--seed", str(seed)) for seed in (1, 2, 3)]
-    report = tmp_path / "page.html"
-    assert run(["learn", *bags[:2], "--judge", bags[2], "--report", str(report), "-o", str(tmp_path / "r.toml")]) == 0
+    report, model = tmp_path / "page.html", str(tmp_path / "r.toml")
+    assert run(["learn", *bags[:2], "--judge", bags[2], "--report", str(report), "-o", model]) == 0
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("COMPLETE  the robot's model is complete; the odometry is stamped ")
     assert len(said) <= 9

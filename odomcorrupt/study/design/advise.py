@@ -42,7 +42,7 @@ class Advice:
 def advise(learned: Learned) -> Advice:
     """Return the questions that these data leave open, and the drives that would answer them."""
     drives = Drives(learned)
-    choices = [*dependence_ambiguities(drives), *clock_ambiguities(drives)]
+    choices = dependence_ambiguities(drives)
     for step in learned.steps:
         choices += [*open_ambiguities(drives, step), *clock_ambiguities(drives, step)]
     last = learned.rounds[-1]

@@ -210,25 +210,17 @@ def undetermined_clocks(drives: Drives) -> list[UntestableEffect]:
     return found
 
 
-def clock_ambiguities(drives: Drives, step: Step | None = None) -> list[Ambiguity]:
-    """Return the ambiguities between a constant clock offset and an effect that these data leave open.
+def clock_ambiguities(drives: Drives, step: Step) -> list[Ambiguity]:
+    """Return the ambiguity between a constant clock offset and the effect of a step, if these data leave it open."""
+    learned = drives.learned
+    own = [e for e in learned.fit.effects if e.name == step.added and e.name in RIVALS]
+    if not own or any(free[0] for free in learned.clocks.free):
+        return []
+    beside, inflation = [e for e in learned.fit.effects if e is not own[0]], step.candidates[0].score.inflation
+    known = separation(own, (), beside, [drives.with_clocks]) / inflation
 
-    step : of the effect that is in the model in place of a clock; None for those that could be in place of one
-    """
-    learned, inflation = drives.learned, 1.0
-    effects = learned.clocks.instead
-    if step is not None:
-        shown = step.added in RIVALS and not any(free[0] for free in learned.clocks.free)
-        effects = tuple(effect for effect in learned.fit.effects if shown and effect.name == step.added)
-        inflation = step.candidates[0].score.inflation
-    found = []
-    for own in effects:
-        beside = [e for e in learned.fit.effects if e is not own]
-        known = separation((own,), (), beside, [drives.with_clocks]) / inflation
+    def gain(drive: Field) -> float:
+        return separation(own, (), beside, [drives.with_clocks, drive]) / inflation - known
 
-        def gain(drive: Field, own: Effect = own, beside: list[Effect] = beside, known: float = known) -> float:
-            return separation((own,), (), beside, [drives.with_clocks, drive]) / inflation - known
-
-        if known < learned.decisions.alternative_nats:
-            found.append(_ambiguity(drives, (own.name, CLOCKS[0]), gain))
-    return found
+    open_yet = known < learned.decisions.alternative_nats
+    return [_ambiguity(drives, (own[0].name, CLOCKS[0]), gain)] if open_yet else []

@@ -59,10 +59,7 @@ class Clocks:
     The error of an offset includes the rounding of stamps.
 
     noise, beside : noise and nuisance effects of the last fit: starting values for later fits, not results
-    ambiguous_nats : log-likelihood gain of a clock offset that is not in the model, because an effect explains more and
-        may have absorbed it
     margins_nats : log-likelihood gain of a clock over each effect beside which it is not significant
-    instead : effects that resemble a clock and explain nearly as much as one of the model, at their estimated size
     truths : noise of each recording's truth, from the fit of its clock
     left_nats : log-likelihood gain of dependences on accelerations beside the clocks
     ranges_s : least and largest offset within two standard errors, with the usual systematic effects and rivals free;
@@ -76,13 +73,11 @@ class Clocks:
     errors: tuple[tuple[float, float], ...]
     noise: Array | None = None
     beside: tuple[Effect, ...] = ()
-    ambiguous_nats: float = 0.0
     margins_nats: tuple[float, ...] = ()
     truths: tuple[TruthNoise, ...] = ()
     left_nats: float = 0.0
     ranges_s: tuple[tuple[float, float], ...] = ()
     held: tuple[str, ...] = ()
-    instead: tuple[Effect, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

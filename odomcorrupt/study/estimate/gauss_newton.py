@@ -25,6 +25,8 @@ from odomcorrupt.study.io.clock import Clock, clock_leaders, led
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.config import Approach
@@ -315,7 +317,7 @@ def moved(effects: Sequence[Effect], theta: Array) -> tuple[Effect, ...]:
     return tuple(after)
 
 
-def _moved_clocks(clocks: Sequence[Clock], free: Array, theta: Array) -> tuple[Clock, ...]:
+def _moved_clocks(clocks: Sequence[Clock], free: NDArray[np.bool_], theta: Array) -> tuple[Clock, ...]:
     """Return the clocks after a step, whose last values are those of their free offsets and rates."""
     change = np.zeros(free.shape)
     change[free] = theta[len(theta) - int(free.sum()) :]

@@ -20,6 +20,8 @@ from odomcorrupt.study.io.raw_trajectory import CLOCK_S
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
 
@@ -51,7 +53,12 @@ def clock_leaders(recordings: Sequence[Recording]) -> list[int]:
     return [first.setdefault(recording.clock, i) if recording.clock else i for i, recording in enumerate(recordings)]
 
 
-def led(free: Array, leaders: Sequence[int]) -> Array:
+def as_rows(clocks: Sequence[Clock]) -> Array:
+    """Return offsets and rates (R, 2) of clocks."""
+    return np.array([(clock.offset_s, clock.rate) for clock in clocks]).reshape(-1, 2)
+
+
+def led(free: NDArray[np.bool_], leaders: Sequence[int]) -> NDArray[np.bool_]:
     """Return the mask (R, 2) of free clock parameters with a shared clock left free in its first recording only."""
     return free & (np.array(leaders) == np.arange(len(leaders)))[:, None]
 

@@ -77,9 +77,8 @@ def score_terms(fit: Fit, terms: Sequence[LibraryTerm | BasisTerm], dictionary: 
     """Return the score tests of terms, each beside the model of a fit; none for terms that cannot act."""
     if not terms:
         return []
-    free = np.array(fit.free_clocks).reshape(-1, 2)
-    clocks = ClockChoice(free, np.zeros_like(free))
-    used, evidence = linearised(fit, (), terms, clocks, dictionary)
+    none = np.zeros((len(fit.free_clocks), 2))
+    used, evidence = linearised(fit, (), terms, ClockChoice(none > 0.0, none), dictionary)
     own = [term for term in used if not isinstance(term, ClockTerm)]
     return scores_of(evidence, own) if own else []
 

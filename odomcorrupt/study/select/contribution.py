@@ -166,9 +166,6 @@ def _span(left: Sequence[Recording], bare: Sequence[Recording], windows: Sequenc
     without = np.concatenate([_displacements(other.odometry, ends, other.origin_ns) for _, other, ends in every])
     truth = np.concatenate([_displacements(one.truth, ends, one.origin_ns) for one, _, ends in every])
     metres = np.concatenate([_travelled(one, ends) for one, _, ends in every])
-    sizes = (_rms(whole - without), _rms(whole - truth), float(np.sqrt(np.mean(metres**2))))
+    apart = whole - without, whole - truth, metres[:, None]
+    sizes = [float(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))) for vectors in apart]
     return Span(*sizes) if all(map(isfinite, sizes)) else None
-
-
-def _rms(vectors: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))

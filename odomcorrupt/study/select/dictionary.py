@@ -20,7 +20,7 @@ from odomcorrupt.effects.ground import RegionSlip
 from odomcorrupt.errors import EffectError
 from odomcorrupt.study.estimate.gauss_newton import orthonormal, prior_deviations
 from odomcorrupt.study.estimate.robust_errors import block_of
-from odomcorrupt.study.io.clock import clock_leaders
+from odomcorrupt.study.io.clock import as_rows, clock_leaders, led
 from odomcorrupt.study.io.recording import ranks_of
 from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.evidence import FOLDS, Evidence
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.io.clock import Clock
-    from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.decisions import Decisions
 
 _OF_ITS_KIND = 2
@@ -83,30 +82,21 @@ Competing: TypeAlias = LibraryTerm | BasisTerm | ClockTerm
 class ClockChoice:
     """Clocks of R recordings in the selection: (R, 2), offset and rate.
 
-    held : numbers that are free in any case, because the clock is far off
-    optional : numbers of leading clocks (see `clock_leaders`) that are terms
+    optional : numbers that are terms: departures of leading clocks (see `clock_leaders`) from their base
+    base : what stamps are corrected by in any case
     """
 
-    held: NDArray[np.bool_]
     optional: NDArray[np.bool_]
+    base: Array
 
     def terms(self) -> list[ClockTerm]:
         """Return the clock terms, none for numbers that are not optional."""
         found = [(name, 2 * np.flatnonzero(self.optional[:, i]) + i) for i, name in enumerate(_CLOCKS)]
         return [ClockTerm(name, tuple(which.tolist())) for name, which in found if len(which)]
 
-    def released(self, clocks: Sequence[Clock], recordings: Sequence[Recording], far_s: float) -> ClockChoice:
-        """Return the same with those held numbers as terms that shift stamps by at most `far_s`: errors are linear."""
-        lasts_s = np.array([float(r.truth_s[-1] - r.truth_s[0]) for r in recordings])
-        shift_s = np.array([(abs(c.offset_s), abs(c.rate) * t) for c, t in zip(clocks, lasts_s, strict=True)])
-        near = self.held & (shift_s <= far_s)
-        leading = (np.array(clock_leaders(recordings)) == np.arange(len(recordings)))[:, None]
-        return ClockChoice(self.held & ~near, self.optional | (near & leading))
-
     def free(self, names: Sequence[str], leaders: Sequence[int]) -> list[tuple[bool, bool]]:
         """Return whether offset and rate of each recording are free in a model with these clock terms."""
-        chosen = np.array([name in names for name in _CLOCKS])
-        free = (self.held | (self.optional & chosen))[list(leaders)]
+        free = (self.optional & [name in names for name in _CLOCKS])[list(leaders)]
         return [(bool(offset), bool(rate)) for offset, rate in free]
 
 
@@ -220,7 +210,7 @@ def linearised(
     fit : the current model
     present : effects of the fit that compete, whose terms are the first ones
     terms : the terms of `present`, then all others
-    clocks : clocks that are in the model in any case, and those that compete
+    clocks : those that compete; others that are free are in the model in any case
     dictionary : where the terms are from
     """
     problem, whiten = fit.problem, fit.noise.whitener.whiten
@@ -232,13 +222,12 @@ def linearised(
         columns.append(problem.columns(effect))
         residual += whiten(columns[-1]) @ np.array([getattr(effect, p.name) - p.identity for p in amplitudes(effect)])
     used += terms[: len(present)]
-    free = np.array(fit.free_clocks)
+    free = led(np.array(fit.free_clocks), clock_leaders(problem.recordings))
+    away = ((as_rows(problem.clocks) - clocks.base) * free).ravel()
     for term in clocks.terms():
         columns.append(term.columns(problem))
         used.append(term)
-        at = [divmod(i, 2) for i in term.which]
-        values = [(problem.clocks[r].rate if i else problem.clocks[r].offset_s) * free[r, i] for r, i in at]
-        residual += whiten(columns[-1]) @ np.array(values)
+        residual += whiten(columns[-1]) @ away[list(term.which)]
     for other in terms[len(present) :]:
         try:
             columns.append(other.columns(problem))
@@ -246,15 +235,12 @@ def linearised(
             continue
         used.append(other)
     kept = [problem.columns(effect) for effect in fit.effects if effect not in present]
-    if clocks.held.any():
-        leading = np.array(clock_leaders(problem.recordings)) == np.arange(len(clocks.held))
-        kept.append(problem.clock_columns()[:, :, (clocks.held & leading[:, None]).ravel()])
+    kept.append(problem.clock_columns()[:, :, (free & ~clocks.optional).ravel()])
     white = whiten(np.concatenate(columns, axis=2))
     whole = np.einsum("ij,ij->j", white, white)
-    if kept:
-        basis = orthonormal(whiten(np.concatenate(kept, axis=2)))
-        white -= basis @ (basis.T @ white)
-        residual -= basis @ (basis.T @ residual)
+    basis = orthonormal(whiten(np.concatenate(kept, axis=2)))
+    white -= basis @ (basis.T @ white)
+    residual -= basis @ (basis.T @ residual)
     # whole recordings if there are enough of them, else blocks
     rank = ranks_of(problem.recordings)
     fold = np.repeat((rank[problem.run] if len(rank) >= FOLDS else block_of(problem)) % FOLDS, 3)
@@ -294,7 +280,7 @@ def _prior(term: Competing, fit: Fit, dictionary: Dictionary, unit: Array, alone
     """
     free = np.full(term.width, np.inf)
     if isinstance(term, ClockTerm):
-        return np.full(term.width, _CLOCKS[term.name] ** -2), -free, free
+        return np.maximum(_CLOCKS[term.name], alone) ** -2, -free, free
     if isinstance(term, BasisTerm):
         return unit, -free, free
     low, high = dictionary.bounds_of(term.start, fit).T

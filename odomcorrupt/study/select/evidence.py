@@ -25,6 +25,8 @@ FOLDS = 10
 """Number of folds: each holds every tenth block of a recording, or every tenth recording."""
 _BEAM, _NEXT, _WITHIN = 6, 30, 12.0
 """Sets extended in a step, extensions evaluated of each, and nats below the best at which sets are not extended."""
+_STEPS = 3
+"""Largest number of terms that a search adds."""
 SEPARABLE = 4e-4
 """Fraction of a column's squared length that has to remain beside the other terms of a set."""
 
@@ -80,6 +82,16 @@ class Evidence:
         normal = self.gram.sum(axis=0)[np.ix_(own, own)] + np.diag(self.precision[own])
         return np.linalg.solve(normal, self.score.sum(axis=0)[own])
 
+    def copies(self, plain: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return which terms (J,) are nearly a plain one on these data: all of them are on one side of a threshold.
+
+        plain : (J,) terms of one column without a shape
+        """
+        whole, at = self.gram.sum(axis=0), self.first[:-1]
+        length = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+        alike = np.square(whole / np.outer(length, length))[np.ix_(at, at)] > 0.99
+        return (np.diff(self.first) == 1) & ~plain & (alike & plain).any(axis=1)
+
     def gains(self, subsets: Sequence[Subset]) -> Gains:
         """Return the evidence of sets of terms."""
         score, folds = np.full(len(subsets), -np.inf), np.zeros((len(subsets), len(self.gram)))
@@ -87,15 +99,15 @@ class Evidence:
         for width in {len(own) for own in columns}:
             which = [m for m, own in enumerate(columns) if len(own) == width]
             own = np.array([columns[m] for m in which], dtype=np.int64).reshape(len(which), width)
-            folds[which], possible = self._of(own)
+            folds[which], unlikely = self._of(own)
             paid = [self.cost[list(subsets[m])].sum() for m in which]
-            score[which] = np.where(possible, folds[which].sum(axis=1) - paid, -np.inf)
+            score[which] = folds[which].sum(axis=1) - paid - unlikely
         return Gains(score, folds)
 
-    def _of(self, own: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the gains (M, F) of sets of columns (M, p) on left-out folds, and which have possible estimates."""
+    def _of(self, own: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Return the gains (M, F) of sets of columns (M, p) on left-out folds, and minus their log prior (M,), nats."""
         if not own.shape[1]:
-            return np.zeros((len(own), len(self.gram))), np.ones(len(own), dtype=bool)
+            return np.zeros((len(own), len(self.gram))), np.zeros(len(own))
         gram = self.gram[:, own[:, :, None], own[:, None, :]].swapaxes(0, 1)  # (M, F, p, p)
         score = self.score[:, own].swapaxes(0, 1)  # (M, F, p)
         prior = self.precision[own][:, :, None] * np.eye(own.shape[1])
@@ -109,7 +121,8 @@ class Evidence:
         # what remains of a column beside the others, 1 / (A^-1)_ii, against its own length
         alone = np.einsum("mii->mi", whole)
         separable = (1.0 / np.einsum("mii->mi", inverse) - self.precision[own] > SEPARABLE * alone).all(axis=1)
-        return gains, inside & separable
+        unlikely = 0.5 * np.einsum("mp,mp->m", best**2, self.precision[own])
+        return gains, np.where(inside & separable, unlikely, np.inf)
 
     def extensions(self, subset: Subset) -> list[Subset]:
         """Return a set with one more term each, the most promising first by the gain on all data."""
@@ -143,19 +156,23 @@ class Evidence:
 class Search:
     """Search for the set of terms with the largest evidence: forward steps of a beam, then backward and swap steps.
 
+    Columns are linear: many terms at once may be too far for them, so that rounds take few.
+
+    start : the set that the columns are linearised at
     seen : evidence of every set that was evaluated, nats
     """
 
     evidence: Evidence
+    start: Subset
     seen: dict[Subset, float]
 
     @classmethod
-    def of(cls, evidence: Evidence, start: Subset = (), deepest: int = 6) -> Search:
+    def of(cls, evidence: Evidence, start: Subset = ()) -> Search:
         """Return the search that began with the empty set and with `start`."""
-        search = cls(evidence, {(): 0.0})
+        search = cls(evidence, start, {(): 0.0})
         search._evaluate([start])
         front: list[Subset] = list(dict.fromkeys(((), start)))
-        for _ in range(deepest):
+        for _ in range(_STEPS):
             new = search._evaluate([longer for subset in front for longer in evidence.extensions(subset)])
             least = max(search.seen.values()) - _WITHIN
             front = [s for s in sorted(new, key=lambda s: -search.seen[s])[:_BEAM] if search.seen[s] > least]
@@ -178,17 +195,12 @@ class Search:
         with_it = sum(weight for weight, has in weights if has)
         return sum(weight for weight, has in weights if not has) / max(with_it, 1e-300)
 
-    def refuse(self, subset: Subset, present: Subset) -> None:
-        """Exclude a set, all others of the same effects, and those with more than half as many terms that are new.
-
-        Many terms at once may be too far for columns that are linear.
-
-        present : the set that the columns are linearised at
-        """
+    def refuse(self, subset: Subset) -> None:
+        """Exclude a set, all others of the same effects, and those with more than half as many terms that are new."""
         group = self.evidence.group
-        refused, most = sorted(group[list(subset)]), max(len(set(subset) - set(present)) // 2, 1)
+        refused, most = sorted(group[list(subset)]), max(len(set(subset) - set(self.start)) // 2, 1)
         for other in self.seen:
-            if sorted(group[list(other)]) == refused or len(set(other) - set(present)) > most:
+            if sorted(group[list(other)]) == refused or len(set(other) - set(self.start)) > most:
                 self.seen[other] = -np.inf
 
     def _evaluate(self, subsets: Iterable[Subset]) -> list[Subset]:
@@ -203,7 +215,8 @@ class Search:
         best = self.best
         without = [tuple(j for j in best if j != i) for i in best]
         self._evaluate([*without, *(s for subset in without for s in self.evidence.extensions(subset))])
-        self._evaluate(self.evidence.extensions(best))
+        if len(set(best) - set(self.start)) < _STEPS:
+            self._evaluate(self.evidence.extensions(best))
         return self.best != best
 
     def clear_parts(self, errors: float) -> Subset:

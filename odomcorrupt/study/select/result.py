@@ -30,14 +30,12 @@ class Step:
     candidates : effects of the library, the included one first
     added : name of the included effect; None if there was none
     dependence : dependence that was included in place of a library effect, if any
-    alternative_nats : see `Decisions`
     """
 
     before: Fit
     candidates: tuple[Candidate, ...]
     added: str | None
     dependence: Dependence | None = None
-    alternative_nats: float = DECISIONS.alternative_nats
 
     @property
     def name(self) -> str | None:
@@ -49,7 +47,7 @@ class Step:
         """Names of effects with nearly the gain of the included one, or aliased with it."""
         if self.added is None:
             return ()
-        least = self.candidates[0].gain - self.alternative_nats
+        least = self.candidates[0].gain - DECISIONS.alternative_nats
         near = [c.name for c in self.candidates[1:] if not c.refused and c.gain > least]
         drive = drive_type_of(self.before.problem.recordings)
         own = self.candidates[0].score.estimated

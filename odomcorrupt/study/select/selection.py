@@ -16,7 +16,7 @@ import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import EffectError, FitError
-from odomcorrupt.study.estimate.clocks import RIVALS, find_clocks, levelled, mounting_of, with_rounding
+from odomcorrupt.study.estimate.clocks import find_clocks, levelled, mounting_of, with_rounding
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
@@ -24,7 +24,7 @@ from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.estimate.truth_bias import with_bias_walks
 from odomcorrupt.study.estimate.windows import phased_rmse, ten_second_error
-from odomcorrupt.study.io.clock import Clock, clock_leaders
+from odomcorrupt.study.io.clock import Clock, as_rows, clock_leaders, led
 from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
 from odomcorrupt.study.select.candidates import drop_term, score_terms, tested_candidates
 from odomcorrupt.study.select.contribution import is_exact
@@ -55,7 +55,9 @@ from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
 from odomcorrupt.study.work import Work
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
@@ -63,12 +65,10 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.candidates import Candidate
 
-_ROUNDS, _TRIES = 5, 3
+_ROUNDS, _TRIES = 8, 5
 """Largest number of rounds, and of sets that are refitted in a round."""
-_OF_TIME = ("scale_drift", "gyro_warm_up")
-"""Effects that are a course over time, as that of a random process may be by chance."""
-_SEVERAL = 3
-"""Number of terms from which on a random process may be simpler."""
+_TRUST = 0.8
+"""Least gain of a refit relative to that of the linearisation."""
 _SPANS_S = (10.0, 60.0)
 """Times over which a term has a size: the error of a heading shows late, above all of a slow robot."""
 
@@ -102,26 +102,25 @@ def learn(
     clocks = find_clocks(recordings, approach)
     same_data = all(one is other for one, other in zip(recordings, as_given, strict=True))
     recordings = levelled(recordings, clocks)
-    free = np.array(clocks.free, dtype=bool).reshape(-1, 2)
-    choice = ClockChoice(free, np.zeros_like(free)).released(clocks.clocks, recordings, decisions.far_clock_s)
-    far = [
-        Clock(c.offset_s if held[0] else 0.0, c.rate if held[1] else 0.0)
-        for c, held in zip(clocks.clocks, choice.held, strict=True)
-    ]
+    found, leaders = as_rows(clocks.clocks), clock_leaders(recordings)
+    far = np.abs(found) * [(1.0, float(r.truth_s[-1] - r.truth_s[0])) for r in recordings] > decisions.far_clock_s
+    # an effect that all drives share would look like the same clock in each
+    held = far & (len(set(leaders)) > 1)
+    choice = ClockChoice(led(np.array(clocks.free).reshape(-1, 2), leaders), np.where(held, found, 0.0))
     first = fit(
         recordings,
         [e for e in start if e.kind != "noise"],
-        clocks=far,
-        free_clocks=choice.free((), clock_leaders(recordings)),
+        clocks=[Clock(*own) for own in np.where(far, found, 0.0).tolist()],
+        free_clocks=[(bool(offset), bool(rate)) for offset, rate in far & ~held],
         approach=approach,
         random=[e for e in start if e.name in CORRELATED_NOISE],
     )
     noise = [DetectedRandomEffect(e, decisions.counted_nats) for e in encoders]
-    found = _Selection(first, {e.name for e in start}, choice, decisions, work, noise)
+    selection = _Selection(first, {e.name for e in start}, choice, decisions, work, noise)
     if not is_exact(ten_second_error(first), first.problem.motions, decisions.practical):
-        found.run()
+        selection.run()
     return replace(
-        found.result(clocks),
+        selection.result(clocks),
         first_clocks=clocks if same_data else None,
         hides_losses=hides_losses(as_given[0]),
     )
@@ -133,7 +132,7 @@ class _Selection:
 
     fit, noise : the current model, and its random effects
     given : names of effects that are not dropped
-    clocks : clocks that are held at the beginning, and those that may be terms
+    clocks : those that may be terms, and what stamps are corrected by beforehand
     dictionary, terms : all terms so far, and those of the effects in the model by name
     at : the fit that was linearised last
     competing, evidence, search, chosen : terms on that linearisation, their evidence, the search in it, and its own set
@@ -161,12 +160,6 @@ class _Selection:
         """Effects of the model that were not given."""
         return [effect for effect in self.fit.effects if effect.name not in self.given]
 
-    @property
-    def _clocks(self) -> ClockChoice:
-        """The clocks that are held, without those near zero now: an effect of the model explains what they did."""
-        problem = self.fit.problem
-        return self.clocks.released(problem.clocks, problem.recordings, self.decisions.far_clock_s)
-
     def run(self) -> None:
         """Select terms and random processes in turn until neither changes."""
         self._select()
@@ -180,6 +173,9 @@ class _Selection:
         tails = not (self.noise or any(isinstance(term, BasisTerm) for term in self.terms.values()))
         outliers = outlier_effects(self.fit, self.decisions, tails=tails)
         self.noise += outliers
+        if (far := self.clocks.base != 0.0).any():
+            free = far | np.array(self.fit.free_clocks)
+            self.fit = self.fit.refit(free_clocks=[(bool(offset), bool(rate)) for offset, rate in free])
         effects = [effect.continued(self.fit.problem.motions) for effect in self.fit.effects]
         bursts = [one.effect for one in outliers if one.effect.name == "slip_burst"]
         if bursts or effects != list(self.fit.effects):
@@ -214,10 +210,17 @@ class _Selection:
         present = self.selected
         own = [self.terms[e.name] for e in present]
         terms = self.dictionary.beside(own)
-        self.competing, self.evidence = linearised(self.fit, present, terms, self._clocks, self.dictionary)
+        self.competing, self.evidence = linearised(self.fit, present, terms, self.clocks, self.dictionary)
         free = np.ravel(self.fit.free_clocks)
         ticking = [i for i, t in enumerate(self.competing) if isinstance(t, ClockTerm) and free[list(t.which)].any()]
         self.chosen = (*range(len(present)), *ticking)
+        plain = [isinstance(t, LibraryTerm) and t.width == 1 and not len(t.shape) for t in self.competing]
+        self._exclude(self.evidence.copies(np.array(plain)))
+
+    def _exclude(self, terms: NDArray[np.bool_]) -> None:
+        """Search without some terms (J,), unless they are in the model."""
+        terms[list(self.chosen)] = False
+        self.evidence = replace(self.evidence, cost=np.where(terms, np.inf, self.evidence.cost))
         self.search = Search.of(self.evidence, self.chosen)
 
     def _refit_best(self) -> bool:
@@ -226,37 +229,62 @@ class _Selection:
             best = self.search.clear_parts(self.decisions.clear_errors)
             if set(best) == set(self.chosen):
                 return False
-            paid = self.evidence.cost[list(best)].sum() - self.evidence.cost[list(self.chosen)].sum()
+            more = float(-np.diff(self.evidence.gains([best, self.chosen]).score)[0])
+            least = self.evidence.cost[list(best)].sum() - self.evidence.cost[list(self.chosen)].sum()
+            if len(set(best) - set(self.chosen)) > 1 and np.isfinite(more):
+                least = max(least, _TRUST * more)
             try:
                 larger = self._refitted(best, weights_of=self.fit)
             except (FitError, EffectError):
                 larger = None
-            if larger is not None and larger.log_likelihood - self.fit.log_likelihood > paid:
+            if larger is not None and larger.log_likelihood - self.fit.log_likelihood > least:
                 terms = [self.competing[i] for i in best]
                 self.terms = {t.name: t for t in terms if not isinstance(t, ClockTerm)}
                 self.fit = self._with_shapes(larger.refit())
                 return True
-            self.search.refuse(best, self.chosen)
+            if misleading := self._misleading(best, more):
+                self._exclude(np.isin(self.evidence.group, self.evidence.group[misleading]))
+            else:
+                self.search.refuse(best)
         return False
+
+    def _misleading(self, subset: Subset, more: float) -> list[int]:
+        """Return the new terms of a set whose error, removed from the odometry, is not nearly what their columns say.
+
+        Columns are functions of the true motion, an error is removed by what the odometry reports: near rest, and where
+        ticks are coarse, a sign or a curvature of the one is noise in the other.
+        """
+        problem, whiten, found = self.fit.problem, self.fit.noise.whitener.whiten, list[int]()
+        for i, own, effect in self._estimates(subset):
+            if i in self.chosen or effect is None:
+                continue
+            removed = problem.at((*(e for e in self.fit.effects if e.name != effect.name), effect)).intervals.residual
+            linear = self.competing[i].columns(problem) @ own
+            both = whiten(np.stack((linear, problem.intervals.residual - removed - linear), axis=2))
+            size, error = np.einsum("ij,ij->j", both, both)
+            if error > min(0.25 * size, more):  # by half of its length, or by more than the set gains
+                found.append(i)
+        return found
+
+    def _estimates(self, subset: Subset) -> Iterator[tuple[int, Array, Effect | None]]:
+        """Yield the terms of a set, their first-order estimates, and effects of these sizes; None for clocks."""
+        ends = np.cumsum([self.competing[i].width for i in subset])
+        for i, own in zip(subset, np.split(self.evidence.estimate(subset), ends), strict=False):
+            term, sizes = self.competing[i], own.tolist()
+            if isinstance(term, LibraryTerm):
+                yield i, own, started(self.fit, term.start, sizes)
+            else:
+                yield i, own, term.effect(sizes) if isinstance(term, BasisTerm) else None
 
     def _refitted(self, subset: Subset, weights_of: Fit | None = None) -> Fit:
         """Return the refit with a set of terms, started at their linear estimates."""
-        theta = self.evidence.estimate(subset)
-        effects, names, at = [e for e in self.fit.effects if e.name in self.given], list[str](), 0
-        for i in subset:
-            term = self.competing[i]
-            own, at = theta[at : at + term.width].tolist(), at + term.width
-            if isinstance(term, ClockTerm):
-                names.append(term.name)
-            elif isinstance(term, BasisTerm):
-                effects.append(term.effect(own))
-            else:
-                effects.append(started(self.fit, term.start, own))
-        free = self._clocks.free(names, clock_leaders(self.fit.problem.recordings))
-        clocks = [
-            Clock(clock.offset_s * offset, clock.rate * rate)
-            for clock, (offset, rate) in zip(self.fit.problem.clocks, free, strict=True)
-        ]
+        found = [*self._estimates(subset)]
+        names = [self.competing[i].name for i, _, effect in found if effect is None]
+        effects = [e for e in self.fit.effects if e.name in self.given]
+        effects += [effect for _, _, effect in found if effect is not None]
+        free = self.clocks.free(names, clock_leaders(self.fit.problem.recordings))
+        now = np.where(free, as_rows(self.fit.problem.clocks), self.clocks.base)
+        clocks = [Clock(*own) for own in now.tolist()]
         return self.fit.refit(effects, clocks=clocks, free_clocks=free, weights_of=weights_of)
 
     def _with_shapes(self, fitted: Fit) -> Fit:
@@ -287,6 +315,7 @@ class _Selection:
         gains = {self.competing[i].name: more for i, more in self._gains().items()}
         least, most = self.decisions.practical.share * sum(gains.values()), 1.0 + self.decisions.practical.share
         slight = sorted((gains[name], name) for name in self.terms if gains.get(name, np.inf) < least)
+        whole_m = [ten_second_error(self.fit, s) for s in _SPANS_S]
         for _, name in slight:
             kept, before = dict(self.terms), self.fit
             del self.terms[name]
@@ -295,7 +324,7 @@ class _Selection:
             compared = before.refit(weights_of=before), self.fit.refit(weights_of=before)
             index = next(i for i in self.chosen if self.competing[i].name == name)
             gained = compared[0].log_likelihood - compared[1].log_likelihood > 2.0 * self.evidence.cost[index]
-            if gained and max(ten_second_error(self.fit, s) / ten_second_error(before, s) for s in _SPANS_S) > most:
+            if gained and any(ten_second_error(self.fit, s) > most * m for s, m in zip(_SPANS_S, whole_m, strict=True)):
                 self.terms, self.fit = kept, before
 
     def _gains(self) -> dict[int, float]:
@@ -309,36 +338,30 @@ class _Selection:
         return dict(zip(self.chosen, folds[0] - folds[1:], strict=True))
 
     def _compare_with_process(self) -> None:
-        """Replace terms of the model of one drive by a random process if that is likelier, costs included.
+        """Replace several terms of the model of one drive by a random process if that is likelier, costs included.
 
-        The course of a bias over one drive is also a function of time, of places that are passed once, or a sum of
-        several effects; over several drives none of these recurs. So the selection is repeated beside a process, from
-        the model without its basis functions and drifts, and from the term with the largest gain alone.
+        The course of a bias over one drive is also a sum of several effects; over several drives it does not recur. So
+        the selection is repeated beside a process, from the term with the largest gain alone.
         """
-        if self.dictionary.recurring or len(self.fit.random) >= self.decisions.max_correlated:
-            return
         before, terms, noise = self.fit, self.terms, list(self.noise)
-        named = [name for name, term in terms.items() if not (isinstance(term, BasisTerm) or name in _OF_TIME)]
-        starts = [named] if len(named) < len(terms) else []
-        if len(terms) > _SEVERAL:
-            starts.append([self.competing[i].name for i in self._order(self._gains())[:1]])
-        best, least = (before, terms, noise), 0.0
-        for kept in starts:
-            self.fit = before.refit([e for e in before.effects if e.name in self.given or e.name in kept])
-            self.terms, self.noise = {name: terms[name] for name in kept}, list(noise)
-            if not self._include_process():
-                continue
+        if self.dictionary.recurring or len(terms) <= 3 or len(before.random) >= self.decisions.max_correlated:
+            return
+        first = self.competing[self._order(self._gains())[0]].name
+        self.fit = before.refit([e for e in before.effects if e.name in self.given or e.name == first])
+        self.terms = {first: terms[first]}
+        found = self._include_process()
+        if found:
             self._select()
             likelier = self.fit.refit(weights_of=before).log_likelihood - before.refit(weights_of=before).log_likelihood
             numbers = float(np.log(len(before.problem.intervals)))  # two numbers of a process, by half of it each
-            gain = likelier - numbers - self._cost(self.terms) + self._cost(terms)
-            if gain > least:
-                best, least = (self.fit, self.terms, self.noise), gain
-        self.fit, self.terms, self.noise = best
+            own, others = (
+                sum(cost_of(t, self.decisions, {*self.given, *some}) for t in some.values())
+                for some in (self.terms, terms)
+            )
+            found = likelier - numbers - own + others > 0.0
+        if not found:
+            self.fit, self.terms, self.noise = before, terms, noise
         self._linearise()
-
-    def _cost(self, terms: Mapping[str, LibraryTerm | BasisTerm]) -> float:
-        return sum(cost_of(term, self.decisions, {*self.given, *terms}) for term in terms.values())
 
     def _include_process(self) -> bool:
         """Include the random process with the largest gain, if one is detected; return whether there was one."""
@@ -349,8 +372,10 @@ class _Selection:
             return False
         self.work.within_step("random processes")
         before = self.fit
-        self.fit, effect = iterate(before.refit(random=(*before.random, found[0].effect)), found[0].effect)
-        nats = gain_in_refit(found[0], before, self.fit)
+        larger, effect = iterate(before.refit(random=(*before.random, found[0].effect)), found[0].effect)
+        if larger.log_likelihood <= before.log_likelihood:  # it diverged
+            return False
+        self.fit, nats = larger, gain_in_refit(found[0], before, larger)
         self.noise.append(DetectedRandomEffect(effect, nats))
         return True
 
@@ -419,29 +444,18 @@ class _Selection:
     def _clocks_of(self, final: Fit, clocks: Clocks, gains: Mapping[int, float], found: Sequence[Dependence]) -> Clocks:
         """Return the clocks of the final model, with the evidence for them and for others in their place."""
         recordings, free = self.fit.problem.recordings, self.fit.free_clocks
-        in_place = [
-            (i, more)
-            for i in self._order(gains)
-            for j, more in self._instead(i).items()
-            if isinstance(self.competing[j], ClockTerm)
+        base = np.ravel(self.clocks.base)
+        margins = [
+            min([gains[i], *(-more for more in self._instead(i).values())])
+            for i in self.chosen
+            if isinstance(term := self.competing[i], ClockTerm) and not base[list(term.which)].any()
         ]
-        ticking = {i: self._instead(i) for i in self.chosen if isinstance(self.competing[i], ClockTerm)}
-        margins = [min([gains[i], *(-more for more in others.values())]) for i, others in ticking.items()]
-        instead: dict[str, Effect] = {}
-        for i, others in ticking.items():
-            for j, more in sorted(others.items(), key=itemgetter(1)):
-                term = self.competing[j]
-                if isinstance(term, LibraryTerm) and term.name in RIVALS and -more < self.decisions.alternative_nats:
-                    theta = self.evidence.estimate((*(k for k in self.chosen if k != i), j))
-                    instead[term.name] = term.effect(theta[-term.width :].tolist())
         return replace(
             clocks,
             clocks=self.fit.problem.clocks,
             free=free,
             errors=with_rounding(final.clock_errors.tolist(), free, recordings),
             margins_nats=tuple(margins) if np.any(free) else (),
-            instead=tuple(instead.values()),
-            ambiguous_nats=max([0.0, *(gains[i] + more for i, more in in_place)]),
             left_nats=sum(one.nats for one in found if one.regressor.endswith("acceleration")),
         )
 
