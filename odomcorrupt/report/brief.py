@@ -98,6 +98,7 @@ def findings_brief(
     fit, last = search.fit if robot is None else robot.fit, comparison.evaluations[-1]
     lines, negligible = _found_lines(search, fit, undecided)
     verdict, tone = _verdict(search, comparison, lines)
+    bursts = any(noise.effect.name == "slip_burst" for noise in search.noise)
     # errors and warnings follow the effects and dependences with evidence, and precede noise and clocks
     at = max(next((i for i, line in enumerate(lines) if line.label), len(lines)), 1)
     mounted = _mounting_words(search, fit)
@@ -106,6 +107,8 @@ def findings_brief(
     named = verdict != "COMPLETE" and bool(lines) and not unexplained
     if named:
         first = ": ".join(filter(None, (lines[0].label.replace(_PERHAPS, ""), lines[0].text)))
+        if comparison.raw_error_m - comparison.clock_error_m > comparison.clock_error_m - last.ten_second_error_m:
+            first = "; ".join([*_clock_words(search), first])  # most of the error is the clock's
         lines += [Line("set-up", mounted, weight=FIRST)] if mounted else []
     else:
         apart = ", and ".join([*_clock_words(search), *([mounted] if mounted else [])])
@@ -122,7 +125,7 @@ def findings_brief(
     lines[at:at] = [
         *_change_lines(search, fit, written),
         *(Line("data", alert, "warning", FIRST) for alert in alerts),
-        *([_EXACT] if exact else [*_drift_lines(search, reproduction), *_rejected_lines(last)]),
+        *([_EXACT] if exact else [*_drift_lines(reproduction, bursts=bursts), *_rejected_lines(last)]),
         *_written_lines(search, written),
         # the identity of an effect is more important than its gain
         *open_lines(search, advice),
@@ -131,7 +134,7 @@ def findings_brief(
         *_error_lines(comparison),
     ]
     lines += [*hidden_noise(robot), *track_lines(search, failed=last.verdict.fails), *negligible]
-    if reproduction is not None and reproduction_sentence(reproduction) and _bursts(search):
+    if reproduction is not None and reproduction_sentence(reproduction) and bursts:
         # noise that causes most of the error is more important than effects that cause less
         lines = [line._replace(weight=FIRST) if line.label == "noise" else line for line in lines]
     if notes := tuple(dict.fromkeys(notes)):
@@ -189,18 +192,14 @@ def _written_lines(search: Learned, written: MotionModel | None) -> list[Line]:
 
 def _rejected_lines(last: ModelEvaluation) -> list[Line]:
     """Return that the last model is still rejected, and by how much."""
-    why = "the noise is too large: " if last.verdict.misfit < 1.0 else ""
-    said = f"{why}errors are {plainly(last.verdict.misfit)} times the predicted ones"
+    said = f"errors are {plainly(last.verdict.misfit)} times the predicted ones"
+    said = f"the noise is too large: {said}" if last.verdict.misfit < 1.0 else said
     return [Line("rejected", said, "warning", FIRST)] if last.verdict.fails else []
 
 
-def _bursts(search: Learned) -> bool:
-    return any(noise.effect.name == "slip_burst" for noise in search.noise)
-
-
-def _drift_lines(search: Learned, reproduction: Reproduction | None) -> list[Line]:
+def _drift_lines(reproduction: Reproduction | None, *, bursts: bool) -> list[Line]:
     """Return how far a simulation with the model would drift, if that is far too little or too much."""
-    if reproduction is None or (reproduction.holds and _bursts(search)):
+    if reproduction is None or (reproduction.holds and bursts):
         return []
     label = "outliers" if reproduction.holds else "drift"
     return [Line(label, said, "warning", FIRST)] if (said := reproduction_sentence(reproduction)) else []

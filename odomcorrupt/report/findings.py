@@ -202,9 +202,6 @@ def foremost(found: Sequence[FoundDependence], most: int) -> list[FoundDependenc
     return chosen
 
 
-_CLOCKS = ("time_offset", "clock_skew")
-
-
 class ClockFound(NamedTuple):
     """A significant clock error: its effect, recording, value, standard error and confidence."""
 
@@ -217,7 +214,7 @@ class ClockFound(NamedTuple):
 
 def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
     """Yield the significant clock errors: a skew also makes an offset free, which need not be significant."""
-    for position, name in enumerate(_CLOCKS):
+    for position, name in enumerate(("time_offset", "clock_skew")):
         for i, (clock, free, errors) in enumerate(zip(clocks.clocks, clocks.free, clocks.errors, strict=True)):
             value, error = (clock.offset_s, clock.rate)[position], errors[position]
             if free[position] and abs(value) > SIGNIFICANT * error:

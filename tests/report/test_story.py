@@ -221,9 +221,7 @@ def test_a_rejected_model_is_shown_with_its_errors_however_long_the_rest_is(rich
     following = f"odomcorrupt compare {'/data/recordings/' * 5}judge --truth /vrpn/pose {'/data/models/' * 5}robot.toml"
     brief = findings_brief(rich, ADVICE, rejected, notes=("a", "b"))
     text = brief._replace(lines=(*brief.lines, command_line(following))).text().splitlines()
-    labels = [row.split()[0] for row in text]
-    assert "errors" in labels
-    assert "rejected" in labels
+    assert {"errors", "rejected"} <= {row.split()[0] for row in text}
     assert len(text) <= 8
 
 
@@ -452,7 +450,7 @@ def test_values_have_units_that_a_person_thinks_in():
     assert texts.value_text(0.01, 0.002, "") == "1 +- 0.2 %"
 
 
-def test_clocks_that_are_off_have_a_line_and_others_none(searched):
+def test_clocks_that_are_off_have_a_line_and_others_none(searched, sequence):
     clocks = replace(
         searched.clocks,
         clocks=tuple(replace(clock, offset_s=0.05, rate=2e-5) for clock in searched.clocks.clocks),
@@ -463,6 +461,8 @@ def test_clocks_that_are_off_have_a_line_and_others_none(searched):
         "a: the odometry's clock is off: offset 50 +- 1 ms (confidence 0.99), skew 20 +- 1 ppm (confidence 0.99)"
     ]
     assert texts.clock_lines(["a"], replace(clocks, free=((False, False),))) == []
+    late = findings_brief(replace(searched, clocks=clocks), NONE, replace(sequence, raw_error_m=9.0)).lines[0].text
+    assert "the odometry is stamped 50 ms later than the truth; unequal_wheels  " in late
 
 
 @pytest.fixture(scope="session")
