@@ -262,7 +262,7 @@ class _Selection:
             linear = self.competing[i].columns(problem) @ own
             both = whiten(np.stack((linear, problem.intervals.residual - removed - linear), axis=2))
             size, error = np.einsum("ij,ij->j", both, both)
-            if error > min(0.25 * size, more):  # by half of its length, or by more than the set gains
+            if error > 0.25 * size or 0.0 < more < error:  # by half of its length, or by more than the set gains
                 found.append(i)
         return found
 
