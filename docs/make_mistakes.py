@@ -34,7 +34,7 @@ The rows are tested in this order, and each is undone before the next test:
 |---|---|---|---|
 """
 FIGURES = {
-    "who": "/odom", "other": "/truth", "count": 100, "wheel_m": 0.944, "width": "often 16 bits", "speed": 310,
+    "who": "/odom", "other": "/truth", "count": 100, "size": "0.944 m", "width": "often 16 bits", "speed": 310,
     "unit": "degrees, not radians", "factor": 0.0175, "plane": "x-z", "up": "y", "what": "never change", "off": 12.0,
     "side": "left", "best": 0.9, "near": 0.1, "shift": 12.0, "corr": -1,
     "fault": "whether the odometry or the truth is wrong, these data do not show", "share": "6%",
@@ -54,7 +54,8 @@ OWN = {
     "clock rate": {"factor": 2.0}, "stands still": {"share": "50%"},
     "whole steps": {"steps": "increments are whole steps of 1 mm", "lost": "0.9 +- 0.1"},
     "whole positions": {"step": "10 mm", "far": 22, "few": 5},
-    "unit of stamps": {"unit": "milliseconds"},
+    "stamps": {"note": "/odom: 4341 of its poses have the stamp of the one before, while it moves, or stamps read as "
+               "milliseconds beside seconds"},
     "turns too far": {"usual": 4, "causes": "wheel separation, or radius, in other units; degrees for radians"},
     "Euler steps": {"at": "beginning", "most": 22},
     "sideways": {"how": "moves sideways the other way than"}, "late clock": {"who": "/truth", "side": "behind"},

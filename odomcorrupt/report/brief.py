@@ -114,11 +114,11 @@ def findings_brief(
         apart = ", and ".join([*_clock_words(search), *([mounted] if mounted else [])])
         none = "no relevant effect is missing" if negligible else "no known effect explains more than chance"
         first = f"the robot's model is complete; {apart}" if apart else none
-    if reproduction is not None and reproduction.too_small and reproduction.by_outliers and not named:
-        verdict, tone, first = "MISSING", "warning", "slip_burst or push: intervals that the fit left out as outliers"
-    elif unexplained:
+    if unexplained:
         ratios = search.fit.problem.recordings[0].ratios or "a first look shows no plain mistake"
         verdict, tone, first = "UNKNOWN", "warning", f"nothing found explains the errors; {ratios}"
+    elif reproduction is not None and reproduction.too_small and reproduction.by_outliers and not named:
+        verdict, tone, first = "MISSING", "warning", "slip_burst or push: intervals that the fit left out as outliers"
     elif verdict == "COMPLETE" and last.verdict.fails and not exact:
         verdict, tone = "PROBABLY", "warning"
     lines = [Line(verdict, first, tone), *lines[named:]]

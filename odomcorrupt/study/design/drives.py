@@ -32,9 +32,8 @@ def missing_excitations(motions: Sequence[Motion]) -> list[tuple[str, tuple[str,
 
     Beside each are names of the manoeuvres with this motion and as little else as possible.
     """
-    dt, v, speed, omega, theta = (
-        np.concatenate([getattr(m, name) for m in motions]) for name in ("dt_s", "v", "speed", "omega", "theta")
-    )
+    names = ("dt_s", "v", "speed", "omega", "theta")
+    dt, v, speed, omega, theta = (np.concatenate([getattr(m, name) for m in motions]) for name in names)
     # Average over 0.5 s, because the ripple of a motor is no acceleration of the body.
     hard = np.concatenate([np.abs(slopes(m.t_s, m.v[:, None], m.t_s, 0.5)[:, 0]) for m in motions])
     way, turn, turning = speed * dt, np.abs(omega) * dt, np.abs(omega) > _TURNING_RADPS

@@ -254,8 +254,7 @@ def _fading(error: Array, before: Array, aside: Array, dt_s: Array) -> _Fading:
     rate = float(np.sum(x * y)) / square
     left = y - rate * x
     usual = float(np.sqrt(np.sum(left**2) / max(y.size - 2 * nuisance.shape[1], 1) / square))
-    scores, own = (
-        np.array([part.sum() for part in np.array_split(np.sum(x * other, axis=1), _CLUSTERS)]) for other in (left, x)
-    )
+    parts = [np.array_split(np.sum(x * other, axis=1), _CLUSTERS) for other in (left, x)]
+    scores, own = np.array([[part.sum() for part in one] for one in parts])
     scores = scores / np.maximum(1.0 - own / square, 1e-6)
     return _Fading(rate, usual, float(np.linalg.norm(scores)) / square)

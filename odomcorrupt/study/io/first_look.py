@@ -21,7 +21,7 @@ from odomcorrupt.geometry.motion import motion_of, step_of
 from odomcorrupt.geometry.se2 import Increments, accumulate, between, increments, wrap
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.study.io.plausibility import check_pair, cross_correlation
-from odomcorrupt.study.io.raw_trajectory import CLOCK_S, FEWEST, runs_of
+from odomcorrupt.study.io.raw_trajectory import CLOCK_S, FEWEST, READ_AS, REPEATED, runs_of
 from odomcorrupt.study.io.recording import Mistake
 
 if TYPE_CHECKING:
@@ -96,15 +96,6 @@ class Ratio(NamedTuple):
         return self.sure and not 1.0 / (low or high) <= self.value <= high
 
 
-def ratio_of(a: Array, b: Array) -> Ratio:
-    """Return the ratio of b (n,) to a (n,): least absolute deviations through the origin, a weighted median."""
-    each, weight = b[a != 0.0] / a[a != 0.0], np.abs(a[a != 0.0])
-    if not len(each):
-        return Ratio()
-    value = weighted_median(each, weight)
-    return Ratio(value, 1.48 * weighted_median(np.abs(each - value), weight) / max(abs(value), 1e-12), len(each))
-
-
 def weighted_median(x: Array, weight: Array) -> float:
     """Return the weighted median of values (n,)."""
     total = np.cumsum(weight[np.argsort(x)])
@@ -163,16 +154,21 @@ def _along_chords(t_s: Array, xy: Array) -> tuple[Array, Array]:
 class Own(NamedTuple):
     """A trajectory by itself.
 
-    speed_mps : usual speed while it moves
     agreement : for each of `READINGS`, 1 if its path has the directions of its headings so multiplied, 0 if none
     chords : number of directions compared
     fixed : 1 if its headings are constant or opposite
+    turned : extent of its headings, rad
     """
 
-    speed_mps: float
     agreement: tuple[float, ...] = (0.0,) * len(READINGS)
     chords: int = 0
     fixed: float = 0.0
+    turned: float = 0.0
+
+    @property
+    def straight(self) -> bool:
+        """Whether the path has directions and headings of one line alone."""
+        return self.turned < 1e-6 and self.chords >= _FEWEST and self.agreement[0] > _FOLLOWS
 
 
 def _concentration(angle: Array) -> float:
@@ -185,18 +181,14 @@ def own_of(path: Samples) -> Own:
     Chords of a path point along its headings or straight backwards, up to a constant mounting angle, so twice their
     difference is constant.
     """
-    t_s = path.t_s
-    later = np.searchsorted(t_s, t_s + 2.0)
-    here = np.flatnonzero(later < len(t_s))
-    later = later[here]
-    speed = np.linalg.norm(path.xyz[later, :2] - path.xyz[here, :2], axis=1) / (t_s[later] - t_s[here])
-    usual = float(np.median(speed[speed > 0.0])) if np.any(speed > 0.0) else 0.0
     if not path.headed:
-        return Own(usual)
+        return Own()
     course, middle = _chords(path.xyz[:, :2])
     readings = [path.yaw_rad[middle], np.unwrap(path.yaw_rad)[middle]]
     agreement = [max(_concentration(2.0 * (course - k * yaw)) for yaw in readings) for k in READINGS]
-    return Own(usual, tuple(agreement), len(course), _concentration(2.0 * path.yaw_rad))
+    return Own(
+        tuple(agreement), len(course), _concentration(2.0 * path.yaw_rad), float(np.ptp(np.unwrap(path.yaw_rad)))
+    )
 
 
 def _chords(xy: Array) -> tuple[Array, NDArray[np.int64]]:
@@ -293,10 +285,14 @@ class Look:
         return c if travel[:2].max() > _ARM_M * turn[:2].min() else c * np.diag((0.0, 0.0, 1.0))
 
     def ratio(self, axis: int, side: int = 0) -> Ratio:
-        """Return the ratio of the truth's motion along an axis to the odometry's, where the odometry moves."""
+        """Return the ratio of the truth's motion along an axis to the odometry's, a weighted median of windows."""
         here, there, _ = self.windows
-        used = moving(here[:, axis], side)
-        return ratio_of(here[used, axis], there[used, axis])
+        used = moving(here[:, axis], side) & (here[:, axis] != 0.0)
+        if not used.any():
+            return Ratio()
+        each, weight = there[used, axis] / here[used, axis], np.abs(here[used, axis])
+        value = weighted_median(each, weight)
+        return Ratio(value, 1.48 * weighted_median(np.abs(each - value), weight) / max(abs(value), 1e-12), len(each))
 
     @cached_property
     def scales(self) -> tuple[Ratio, Ratio]:
@@ -330,6 +326,11 @@ class Look:
         travel, turn = self.sizes
         close = turn[2] < _CLOSE * max(*turn[:2], _CURVED_RADPM * travel[:2].min())
         return bool(close and travel[2] < _CLOSE * max(*travel[:2], _ARM_M * turn[:2].min()))
+
+    @property
+    def speeds_mps(self) -> list[float]:
+        """Mean speeds of the two."""
+        return [float(np.hypot(*x[:, :2].T).mean()) / self.window_s for x in self.motions[:2]]
 
     @property
     def sideways(self) -> bool:
@@ -442,7 +443,7 @@ def first_look(look: Look) -> FirstLook:
     found: list[Mistake] = []
     gains = (1.0, 1.0)
     odometry, truth = look.paths
-    if truth.headed and _turned(truth) < 1e-6 and _turned(odometry) > 0.5:
+    if truth.headed and look.own[1].turned < 1e-6 and look.own[0].turned > 0.5:
         truth = truth.without_headings().noted("its headings never change: its positions alone are used")
         look = replace(look, paths=(odometry, truth))
     for pattern in PATTERNS:
@@ -550,11 +551,9 @@ def _folded(look: Look, i: int) -> Figures | None:
     path = look.paths[i]
     jumps = np.abs(np.diff(path.yaw_rad)) > 0.75 * np.pi
     half = path.headed and np.ptp(path.yaw_rad) < np.pi + 0.05 and look.own[i].fixed < _FOLLOWS
-    if not half or not 1 < jumps.sum() < 0.5 * len(jumps):
-        return None
-
     undo = lambda path: _ahead(replace(path, yaw_rad=np.unwrap(path.yaw_rad, period=np.pi)))  # noqa: E731
-    return {"i": i, "count": int(jumps.sum()), "undo": undo}
+    count = int(jumps.sum())
+    return {"i": i, "count": count, "undo": undo} if half and 1 < count < 0.5 * len(jumps) else None
 
 
 def _ahead(path: Samples) -> Samples:
@@ -571,25 +570,20 @@ def _euler(look: Look, i: int) -> Figures | None:
     travel = np.hypot(step[:, 0], step[:, 1])  # by which directions count, as turns on the spot have hardly any
     if i or bends.sum() < 3 * _FEWEST or not travel[bends].any():
         return None
-    k = round(float(np.median(part)))
-    if np.average(np.abs(part - k), weights=travel[bends]) > 0.02:
+    if np.average(np.abs(part - (k := round(float(np.median(part))))), weights=travel[bends]) > 0.02:
         return None
     rows = np.column_stack((ahead * travel, 0.0 * turn, turn))
     most = float(np.degrees(np.percentile(np.abs(turn[bends]), 95.0)))
     return {"at": ("beginning", "end")[k], "most": most, "undo": lambda path: _moved_by(path, rows)}
 
 
-def _turned(path: Samples) -> float:
-    return float(np.ptp(np.unwrap(path.yaw_rad)))
-
-
 def _unrelated(look: Look, i: int) -> Figures | None:
     """Find headings that follow neither their own path nor the other trajectory."""
-    (own, other), (path, beside) = (look.own, look.paths) if i == 0 else (look.own[::-1], look.paths[::-1])
+    own, other, beside = look.own[i], look.own[1 - i], look.paths[1 - i]
     undo = {"undo": lambda path: path.without_headings()} if i else {}
-    turns = _turned(beside) > 0.5 if beside.headed else own.agreement[0] < _CLEAR
-    if not i and _turned(path) < 1e-6 and turns:
-        return None if _is_straight(own, path) else {"i": i, "what": "never change"}
+    turns = other.turned > 0.5 if beside.headed else own.agreement[0] < _CLEAR
+    if not i and own.turned < 1e-6 and turns:
+        return None if own.straight else {"i": i, "what": "never change"}
     # headings that are right beside wheels that are exchanged make one linear function of the two motions
     few = min(own.chords, other.chords) < 3 * _FEWEST or _linear(*look.motions[1::-1])[1] > _FOLLOWS
     if few or max(own.agreement) > _CLEAR or other.agreement[0] < _FOLLOWS:
@@ -599,11 +593,6 @@ def _unrelated(look: Look, i: int) -> Figures | None:
         return None
     what = "are 0 or 180 deg alone" if own.fixed > _FOLLOWS else "turn otherwise"
     return {"i": i, "what": f"{what} ({_DEGREES})" if degrees else what, **undo}
-
-
-def _is_straight(own: Own, path: Samples) -> bool:
-    """Return whether a path has directions and headings of one line alone."""
-    return _turned(path) < 1e-6 and own.chords >= _FEWEST and own.agreement[0] > _FOLLOWS
 
 
 def _upright(look: Look) -> Figures | None:
@@ -618,13 +607,6 @@ def _upright(look: Look) -> Figures | None:
             columns = [*plane, "xyz".index(up)]
             undo = lambda path, order=columns: replace(path, xyz=path.xyz[:, order]).without_headings()  # noqa: E731
             return {"i": 1, "up": up, "plane": "-".join(sorted("xyz"[k] for k in plane)), "undo": undo}
-    return None
-
-
-def _stamp_unit(look: Look) -> Figures | None:
-    for i, unit in enumerate({10**6: "milliseconds", 10**3: "microseconds"}.get(p.tick_ns) for p in look.paths):
-        if unit and look.paths[1 - i].tick_ns == 10**9:
-            return {"i": i, "unit": unit, "undo": lambda path: path}
     return None
 
 
@@ -674,8 +656,8 @@ def _late(look: Look) -> Figures | None:
     most, lag_s = float(corr.both[best]), float(corr.lag_s[best])
     if most < max(0.7, 2.0 * here, float(corr.mirrored[near].max()) + 0.02):
         return None
-    side = "behind" if lag_s > 0.0 else "ahead of"
-    return {"i": 1, "off": f"{abs(lag_s):.1f}", "side": side, "shift": f"{lag_s:.1f}", "best": most, "near": here}
+    words = {"off": f"{abs(lag_s):.1f}", "side": "behind" if lag_s > 0.0 else "ahead of", "shift": f"{lag_s:.1f}"}
+    return {"i": 1, "best": most, "near": here, **words}
 
 
 _WHEELS = {
@@ -743,14 +725,14 @@ def _wheel_gains(look: Look) -> Figures | None:
     dead, reverse = np.abs(gains) < 0.1 * most, gains < -0.3 * most
     wrong = next(x for x in (reverse, dead, np.abs(gains - 1.0) > 0.15, gains < np.inf) if x.any())
     which = " and ".join(np.array(names)[wrong]) + (" wheel" if wrong.sum() == 1 else " wheels")
-    factor = float(np.mean(gains[wrong]))
-    cause = f"ticks per turn, gear ratio or radius of the {which} wrong by this factor"
-    change = f"multiply the counts of the {which} by {1.0 / (factor or 1.0):.3g}{_hint(abs(factor) or 1.0, _OF_TRAVEL)}"
     if reverse.any():
         cause = f"the {which} counts the wrong way: channels A and B of its encoder, or its motor, are exchanged"
         change = f"negate the counts of the {which}"
     elif dead.any():
         cause, change = f"the {which} counts nothing: its encoder, cable or topic", _RECORD
+    else:
+        cause = f"ticks per turn, gear ratio or radius of the {which} wrong by this factor"
+        change = f"multiply the counts of the {which} by {1.0 / (k := gains[wrong].mean()):.3g}{_hint(k, _OF_TRAVEL)}"
     figures: Figures = {
         "each": f"that count {', '.join(f'{n} {g:.2f}' for n, g in zip(names, gains, strict=True))} times their way",
         "explained": f"{explained:.1%}", "cause": cause, "change": change, "then": "",
@@ -830,8 +812,8 @@ def _overflows(look: Look, i: int) -> Figures | None:
     n, steps = np.arange(len(rows)), np.abs(np.diff(rows[:, [0, 2]], axis=0))
     both = steps[(steps > np.sort(steps, axis=0)[-3:][:1] / 4.0).all(axis=1)]
     # where one wheel's increments jump, travel changes by half of it and the heading by it over the track
-    arms_m = [float(np.median(both[:, 0] / both[:, 1]))] if len(both) > 2 else []
-    for arm_m in (*arms_m, 0.0) if i == 0 and len(rows) >= FEWEST else ():
+    ends = np.percentile(both[:, 0] / both[:, 1], (25.0, 50.0, 75.0)) if len(both) > 2 else np.arange(3.0)
+    for arm_m in (float(ends[1]), 0.0)[int(ends[2] > 1.3 * ends[0]) :] if i == 0 and len(rows) >= FEWEST else ():
         wheels = rows[:, 0] + np.array(sorted({-arm_m, arm_m}))[:, None] * rows[:, 2]
         jump = np.abs(np.diff(wheels, axis=1))
         wheel_m = float(np.median(jump[jump >= np.sort(jump, axis=None)[-3] / 2.0]))
@@ -848,28 +830,36 @@ def _overflows(look: Look, i: int) -> Figures | None:
             far = (np.abs(real - wheels) > wheel_m / 2.0).any(axis=0)
             rows[:, 0] = real.mean(axis=0)
             rows[:, 2] = (real[1] - real[0]) / (2.0 * arm_m) if arm_m else np.interp(n, n[~far], rows[~far, 2])
-            return _counter(count, wheel_m, real, rows)
+            return _counter(count, wheel_m, wheel_m / (2.0 * arm_m or np.inf), real, rows)
     # jumps that turn a robot by more than half a turn have another sign; rare ones are bridged
     size = np.hypot(rows[:, 0], rows[:, 1])
-    far = size > 10.0 * np.percentile(size[size > 0.0], 80.0) if size.any() else size > 0.0
+    beside = np.maximum(np.append(size[1:], np.inf), np.append(np.inf, size[:-1]))
+    far = size > 3.0 * np.maximum(beside, np.percentile(size[size > 0.0], 80.0)) if size.any() else size > 0.0
     if i or not 1 < far.sum() < 0.2 * len(far):
         return None
     usual = np.stack([np.interp(n, n[~far], x[~far]) for x in rows.T], axis=1)
-    wheel_m = 2.0 * float(np.median(size[far] + np.abs(usual[far, 0])))  # the wheel goes on meanwhile
-    if np.mean(np.abs(2.0 * size[far] - wheel_m) < 0.1 * wheel_m) < 0.5:
+    bend = float(np.median(np.abs(wrap(rows[far, 2] - usual[far, 2]))))
+    size *= 1 + int(bend > _BENT_RAD)  # of one wheel of two; without a turn it is the only one, or both
+    wheel_m = float(np.median(size[far] + 2.0 * np.abs(usual[far, 0])))  # the wheel goes on meanwhile
+    if np.mean(np.abs(size[far] - wheel_m) < 0.25 * wheel_m) < 0.5:  # travel has the cosine of a steering angle
         return None
-    return _counter(int(far.sum()), wheel_m, 2.0 * rows[~far, 0], usual)
+    return _counter(int(far.sum()), wheel_m, bend, size[~far], usual)
 
 
-def _counter(count: int, wheel_m: float, increments_m: Array, rows: Array) -> Figures:
-    """Return the figures of a counter of a range in metres that overflows; its ticks are gaps of increments."""
+def _counter(count: int, wheel_m: float, turn: float, increments_m: Array, rows: Array) -> Figures:
+    """Return the figures of a counter of a range in metres that overflows; its ticks are gaps of increments.
+
+    turn : of a jump, rad, of whose arc the range is a chord unless the odometry's steps are straight
+    """
+    arc_m = wheel_m / float(np.sinc(turn / (2.0 * np.pi)))
+    size = f"{wheel_m:.3g} m" if arc_m < 1.02 * wheel_m else f"{wheel_m:.3g} m (along arcs {arc_m:.3g} m)"
     gaps = np.diff(np.unique(np.round(np.abs(increments_m), 9)))
     gaps = gaps[gaps > 1e-8]
     tick = float(np.median(gaps[gaps < 1.5 * gaps.min()])) if len(gaps) else np.inf
     bits = round(power := float(np.log2(max(wheel_m / tick, 1.0))))
     known = bits > 7 and abs(power - bits) < 0.02
     width = f"2^{bits} ticks of {tick * 1e3:.3g} mm: a counter of {bits} bits" if known else "often 16 bits"
-    return {"count": count, "wheel_m": wheel_m, "width": width, "undo": lambda path: _moved_by(path, rows)}
+    return {"count": count, "size": size, "width": width, "undo": lambda path: _moved_by(path, rows)}
 
 
 def _one_way(look: Look, axis: int) -> Figures | None:
@@ -901,6 +891,23 @@ def _one_way(look: Look, axis: int) -> Figures | None:
         if enough and 0.0 < high < 2.0 * low and np.mean(here[real, axis] * side > 0.0) < 0.1:
             how = "drives forwards there" if ahead else "stands there"
             return {"share": f"{real.mean():.0%}", "how": how, "side": "right" if side < 0 else "left"}
+    return None
+
+
+def _one_encoder(look: Look) -> Figures | None:
+    """Find odometry that differs from the truth by one wheel, whose way back counts as forwards or not at all."""
+    origin, at_s = int(look.paths[0].stamps_ns[0]), look.motions[2]
+    # in half a window a wheel seldom rolls both ways
+    halves = [travel_of(p, origin).within(t, look.window_s / 2.0) for p, t in zip(look.paths, at_s, strict=True)]
+    off, real = (halves[0] - halves[1])[:, ::2], halves[1][:, ::2]
+    # what one wheel counts too far is travel, and a turn by it over half of the track
+    arms = np.array((1.0, float(off[:, 0] @ off[:, 1]) / max(float(off[:, 1] @ off[:, 1]), 1e-12)))
+    back, far = moving(real @ arms, -1), np.maximum(-real @ arms, 0.0)
+    few = not look.paths[1].headed or back.sum() < _FEWEST / 2.0 or abs(arms[1]) < 1e-3
+    for how, rest in () if few else (("drives forwards", far), ("stands", far / 2.0)):
+        if np.sum((off * arms - rest[:, None]) ** 2) < (1.0 - _FOLLOWS) * np.sum((off * arms) ** 2):
+            side = "left" if arms[1] < 0.0 else "right"
+            return {"side": side, "share": f"{back.mean():.0%}", "how": f"{how} there"}
     return None
 
 
@@ -1007,7 +1014,7 @@ def _one_curvature(look: Look) -> Figures | None:
         few = a == b or many * look.window_s < 40.0 or turns.sum() - many < _FEWEST
         # noise of the truth's headings does not add up, a gyro's dead band has no usual turns, and poses that are left
         # out make one even motion
-        few = few or np.ptp(here[a:b, 0]) < 1e-9 or min(_turned(look.paths[0]), np.ptp(off[a:b].cumsum()) / 4.0) < 1.0
+        few = few or np.ptp(here[a:b, 0]) < 1e-9 or min(look.own[0].turned, np.ptp(off[a:b].cumsum()) / 4.0) < 1.0
         if few or abs(_correlations(here[a:b], there[a:b])[2, 2]) > _FOLLOWS:  # commands of even curvature
             continue
         lost = (starts >= starts[a]) & (starts <= starts[b - 1])
@@ -1029,7 +1036,7 @@ def _turns_too_far(look: Look) -> Figures | None:
     if not most > _LOST > 10.0 * usual:
         return None
     # chords of a path that turns so fast are short, the path itself is not
-    far = float(distance_along(path.xyz[:, :2])[-1]) / path.span_s / max(look.own[1].speed_mps, 1e-9)
+    far = float(distance_along(path.xyz[:, :2])[-1]) / path.span_s / max(look.speeds_mps[1], 1e-9)
     causes = ["wheel separation in other units (centimetres, millimetres)", "degrees for radians"]
     if look.paths[1].headed and look.turns_by(0, _DEGREE) > look.turns_by(0, UNITS["centimetres"]):
         causes.reverse()
@@ -1048,11 +1055,12 @@ def _turns_otherwise(look: Look) -> Figures | None:
 
 def _unit_of_lengths(look: Look) -> Figures | None:
     """Find lengths in another unit than metres: one moves so fast as no robot does, the other so many times slower."""
-    (k, *_), speeds = look.scales[0], [own.speed_mps for own in look.own]
+    (k, *_), speeds = look.scales[0], look.speeds_mps
     i, far = int(k > 1.0), max(k, 1.0 / k) if look.scales[0].sure else 1.0
     unit = next((name for name, per_m in UNITS.items() if abs(far / per_m - 1.0) < 0.1), None)
     # odometry that is only somewhat too fast is rather of another wheel or gear
-    if unit is None or speeds[i] < (_FAST_MPS, _ROBOT_MPS)[i] or speeds[1 - i] > _ROBOT_MPS:
+    slow = speeds[i] < (_FAST_MPS, _ROBOT_MPS)[i] or speeds[1 - i] > _ROBOT_MPS
+    if unit is None or slow or look.scales[1].beyond(_SKIDS):
         return None
     undo = lambda path: replace(path, xyz=path.xyz / UNITS[unit])  # noqa: E731
     return {"i": i, "far": f"{far:.0f}", "unit": unit, "speed": speeds[i], "undo": undo}
@@ -1091,20 +1099,24 @@ def _far(gain: float) -> str:
 
 def _hint(factor: float, causes: dict[float, str]) -> str:
     """Return the cause of the nearest of some factors or their inverses, in brackets."""
-    off = {said: abs(np.log(max(factor, 1.0 / factor) / near)) for near, said in causes.items()}
-    nearest = min(off, key=off.__getitem__)
-    return f" ({nearest})" if off[nearest] < 1.5 * _ALIKE else ""
+    off, nearest = min((abs(np.log(max(factor, 1.0 / factor) / near)), said) for near, said in causes.items())
+    return f" ({nearest})" if off < 1.5 * _ALIKE else ""
 
 
 _DEGREES = "degrees given to a function of radians"
 _RECORD = "mend it and record again"
 _UNDONE = "this is undone in the odometry, and not in the model"
+_NO_DIRECTION = "encoders without direction (one channel, or a counter that cannot count down); unsigned speeds"
+_SIGNED = "count both channels, or give speeds the sign of the command; " + _RECORD
 _KEPT = "the model has the factor, and is of this odometry as it is"
 
 # fmt: off
 PATTERNS = (
-    Pattern("unit of stamps", "{who}: its stamps are {unit}, those of {other} are seconds", "a column of another unit",
-            "name the column t_ms or t_us, or give seconds", "read as {unit}", _stamp_unit),
+    Pattern("stamps", "{note}", "stamps in whole seconds, or one for all poses of a loop; a column of another unit",
+            "stamp each pose when it is measured, in seconds and nanoseconds; name a column t_ms or t_us", "taken so",
+            lambda look, i: next(({"i": i, "note": one, "undo": lambda path: path} for one in look.paths[i].notes
+                                  if one.endswith(REPEATED) or (READ_AS in one and READ_AS not in
+                                                                "".join(look.paths[1 - i].notes))), None), alone=True),
     Pattern("clock rate",
             "{who}: its clock advances {rate} s in a second of {other}'s{doubt} (stretched, motions correlate by "
             "{best})", "stamps in another unit, or counted at another rate; a simulation slower than its clock",
@@ -1113,14 +1125,9 @@ PATTERNS = (
             "{who} repeats its last pose for up to {longest} s while {other} moves, and then jumps ({count} times)",
             "a driver that is late or stalls, and publishes its last pose again", "publish each pose once",
             "the repeated poses are left out", _repeated),
-    Pattern("overflow", "{who}: {count} jumps of the same size, {wheel_m} m of one wheel",
+    Pattern("overflow", "{who}: {count} jumps of the same size, {size} of one wheel",
             "a counter overflows: {width}", "subtract counts as signed integers of the counter's width",
             "the jumps are taken out", _overflows, alone=True),
-    Pattern("speed", "{who}: usually moves at {speed} m/s", "millimetres for metres",
-            "give metres (columns x_mm, y_mm)", "its lengths are divided by 1000",
-            lambda look, i: {"i": i, "speed": look.own[i].speed_mps,
-                             "undo": lambda p: replace(p, xyz=p.xyz / UNITS["millimetres"])}
-            if min(look.own[i].speed_mps, look.own[1].speed_mps) > _FAST_MPS else None, alone=True),
     Pattern("quaternion without w",
             "{who}: its orientations are no unit quaternions (w is 0 or 1 in all): its headings are wrong",
             "w was never set beside z = sin(yaw / 2)",
@@ -1156,7 +1163,7 @@ PATTERNS = (
             lambda look: _unrelated(look, 0)),
     Pattern("never turns", "{who} never turns, {other} does",
             "a steering angle or yaw rate that stays 0; one counter read for both wheels", _RECORD, "",
-            lambda look: {} if _is_straight(look.own[0], look.paths[0]) and look.sizes[1][1] > _FEW_TURNS else None),
+            lambda look: {} if look.own[0].straight and look.sizes[1][1] > _FEW_TURNS else None),
     Pattern("late clock",
             "{who}: its clock is {off} s {side} the odometry's (motions correlate by {best} there, by {near} as they "
             "are)", "clocks that are not synchronised; one of the files began later", "give --truth-shift {shift}", "",
@@ -1164,6 +1171,8 @@ PATTERNS = (
     Pattern("stands still", "{who} stands still for {lost} s while {other} moves ({share} of its motion)",
             "a driver that lost its wheels, or a tracker its target, and repeats a message; a cable; wheels lifted",
             _RECORD, "these stretches are left out", lambda look: _stands(look, 0) or _stands(look, 1)),
+    Pattern("one encoder", "{who}'s {side} wheel never drives in reverse, the truth's does in {share} of its time; it "
+            "{how}", _NO_DIRECTION, _SIGNED, "", _one_encoder),
     Pattern("one heading", "{who} {does} {when} while it travels and {other} turns otherwise",
             "a gyro, or that wheel's encoder, that died (cable, topic); a steering angle or yaw rate that stays; "
             "orientation no longer filled in", _RECORD, "this stretch is left out", _one_curvature),
@@ -1190,9 +1199,7 @@ PATTERNS = (
             "left and right wheels or encoders exchanged; an axis of the truth mirrored, or compass headings",
             "exchange left and right, or flip the axis", "{who} is mirrored", _exchanged),
     Pattern("never reverses", "{who} never drives in reverse, the truth does in {share} of its time; it {how}",
-            "encoders without direction (one channel, or a counter that cannot count down); unsigned speeds",
-            "count both channels, or give speeds the sign of the command; " + _RECORD, "",
-            lambda look: _one_way(look, 0)),
+            _NO_DIRECTION, _SIGNED, "", lambda look: _one_way(look, 0)),
     Pattern("never turns one way", "{who} never turns {side}, the truth does in {share} of its time",
             "an unsigned yaw rate, or an angle from an arc cosine", "keep the sign; " + _RECORD, "",
             lambda look: _one_way(look, 2)),

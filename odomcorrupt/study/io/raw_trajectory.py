@@ -49,7 +49,6 @@ class Samples:
     localised : whether these are corrections of a localisation, whose errors are correlated along the path
     estimated : whether these are nav_msgs/Odometry messages, which estimators publish
     no_w : whether w is 0 in quaternions that are not of unit length
-    tick_ns : unit of the stamps, if they were read from a text that does not name it
     """
 
     place: str
@@ -68,7 +67,6 @@ class Samples:
     localised: bool = False
     estimated: bool = False
     no_w: bool = False
-    tick_ns: int = 10**9
 
     @classmethod
     def planar(cls, place: str, name: str, stamps_ns: NDArray[np.int64], xyt: Array, **more: Any) -> Self:
@@ -149,6 +147,8 @@ def runs_of(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
 _BACK_NS = 1_000_000_000  # smallest step back that begins another run
 _FORWARD_NS = 3_600_000_000_000
 _NEIGHBOURS = 5
+READ_AS = "stamps read as"
+REPEATED = "have the stamp of the one before, while it moves: log times are taken"
 FAR_M = 1e9
 """Larger positions (metres) and headings (radians) count as invalid."""
 
@@ -217,6 +217,9 @@ def in_order(samples: Samples) -> Samples:
         samples = samples.without_headings()
     elif headless.any():
         samples = samples.only(~headless, f"{np.sum(headless)} poses without a heading left out")
+    moved, same = np.diff(samples.xyz[:, :2], axis=0).any(axis=1), np.diff(samples.stamps_ns) == 0
+    if len(samples.log_ns) and samples.stamps_ns.any() and (moved & same).sum() > moved.sum() / 2.0:
+        samples = samples.noted(f"{same.sum()} of its poses {REPEATED}").stamped(samples.log_ns)
     order = order_of(samples.stamps_ns, samples.log_ns)
     if len(order.rows) < 2:
         raise RecordingError(

@@ -100,17 +100,13 @@ def read_study(sources: Sequence[Source], progress: Callable[[str, float], None]
         if progress is not None:
             progress("reading", n / len(sources))
         try:
-            found += read_runs(source, progress and _nth(progress, n, len(sources)))
+            own = None if progress is None else lambda stage, share, n=n: progress(stage, (n + share) / len(sources))
+            found += read_runs(source, own)
         except (RecordingError, TopicError) as why:
             refused.append(why)
     if not found:
         raise refused[0]
     return one_study(found, [f"left out: {why}" for why in refused])
-
-
-def _nth(progress: Callable[[str, float], None], n: int, count: int) -> Callable[[str, float], None]:
-    """Return a progress callback for one of several recordings."""
-    return lambda stage, share: progress(stage, (n + share) / count)
 
 
 def one_study(recordings: Sequence[Recording], alerts: Sequence[str] = ()) -> list[Recording]:
@@ -227,10 +223,8 @@ def _by_gyro(source: Source, imu: str) -> list[Recording]:
     gyro = yaw_gyro(read_gyro(source.path, source.place, imu), odometry)
     wheels = _with_wheels(source, odometry)
     truth = gyro_truth(wheels.odometry, gyro)
-    runs, error = (
-        recordings_of(source.title, wheels.odometry, truth, wheels.track_m, source.truth_shift_s),
-        source.gyro_scale_error,
-    )
+    runs = recordings_of(source.title, wheels.odometry, truth, wheels.track_m, source.truth_shift_s)
+    error = source.gyro_scale_error
     runs = [
         replace(r, positioned=False, pulled_per_s=0.0, heading_source=gyro.heading_source, turn_scale_error=error)
         for r in runs
@@ -347,6 +341,7 @@ def recordings_of(
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
     found = first_look(Look((odometry, without_float_episodes(truth)), witnesses, track_m))
     odometry, truth = found.odometry, found.truth
+    mended_ns = (odometry if len(odometry) == len(recorded) else recorded).stamps_ns
     truth = without_float_episodes(without_course(odometry, truth))
     if not truth.relative:
         truth = without_excursions(odometry, corrections_alone(odometry, truth))
@@ -386,7 +381,7 @@ def recordings_of(
                 odometry_topic=odometry.name if odometry.name.startswith("/") else "",
                 sketch=sketch_of(
                     recorded.only(
-                        np.arange(*np.searchsorted(recorded.stamps_ns, r.odometry.stamps_ns[[0, -1]] + [0, 1]))
+                        np.arange(*np.searchsorted(mended_ns, r.odometry.stamps_ns[[0, -1]] + [0, 1]))
                     ).trajectory()
                 ),
             )

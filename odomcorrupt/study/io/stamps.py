@@ -68,7 +68,7 @@ def clock_steps(path: Samples) -> list[Step]:
     if len(path.log_ns) != len(path) or np.array_equal(path.log_ns, path.stamps_ns):
         return [] if is_localised(path) else _steps_of_motion(path, interval, usual_s)
     ahead = (path.stamps_ns - path.log_ns).astype(np.float64) * 1e-9
-    jump = np.diff(ahead)
+    jump = np.diff(ahead) - np.median(np.diff(ahead))  # a clock of another rate or unit makes no steps
     found: list[Step] = []
     for i in np.flatnonzero((np.abs(jump) > _LEAST_S) & (jump > -_BACK_S) & (jump < _FORWARD_S)):
         count = max(_NEIGHBOURS, round(_TIMES * abs(jump[i]) / max(usual_s, 1e-3)))

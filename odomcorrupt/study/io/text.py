@@ -24,7 +24,7 @@ import numpy as np
 from odomcorrupt.corruption.pose_faults import W_FIRST, ComponentOrder
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.input_files import open_input
-from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.raw_trajectory import READ_AS, Samples
 from odomcorrupt.study.io.se3 import headings
 from odomcorrupt.study.io.topic_selection import near
 
@@ -218,10 +218,10 @@ def read_text(path: Path, place: str) -> Samples:
     if order.w_first:
         raise RecordingError(f"{place}: {W_FIRST}")
     if not columns.tick_ns and tick != 10**9:
-        notes.append(f"stamps read as {_UNITS[tick]}")
+        notes.append(f"{READ_AS} {_UNITS[tick]}")
     every = np.concatenate(poses)
-    said, unit_ns = tuple(f"{path.name}: {note}" for note in notes), 10**9 if columns.tick_ns else tick
-    return Samples(place, path.name, "", np.concatenate(stamps), every[:, :3], every[:, 3], notes=said, tick_ns=unit_ns)
+    said = tuple(f"{path.name}: {note}" for note in notes)
+    return Samples(place, path.name, "", np.concatenate(stamps), every[:, :3], every[:, 3], notes=said)
 
 
 def _begin(lines: Iterator[Row], place: str) -> tuple[Columns, list[Row]]:

@@ -133,9 +133,9 @@ def _likeliest(fit: Fit, score: Array, distance: Callable[[Motion], Array]) -> l
 def _smooth(strength: Array) -> Array:
     # of a short drive, the spectrum has few bins
     width = min(max(len(strength) // 20, 1), (len(strength) - 1) // 2)
-    kernel = np.ones(2 * width + 1)
-    level: Array = np.convolve(strength, kernel, "same") / np.convolve(np.ones_like(strength), kernel, "same")
-    return np.maximum(level, 1e-300)
+    total = np.concatenate(([0.0], np.cumsum(strength)))
+    low, high = (np.clip(np.arange(len(strength)) + k, 0, len(strength)) for k in (-width, width + 1))
+    return np.maximum((total[high] - total[low]) / (high - low), 1e-300)
 
 
 def _wave(text: str, distance: Callable[[Motion], Array], wavelength_m: float) -> BasisFunction:

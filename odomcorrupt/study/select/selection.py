@@ -354,11 +354,9 @@ class _Selection:
             self._select()
             likelier = self.fit.refit(weights_of=before).log_likelihood - before.refit(weights_of=before).log_likelihood
             numbers = float(np.log(len(before.problem.intervals)))  # two numbers of a process, by half of it each
-            own, others = (
-                sum(cost_of(t, self.decisions, {*self.given, *some}) for t in some.values())
-                for some in (self.terms, terms)
-            )
-            found = likelier - numbers - own + others > 0.0
+            both = (self.terms, terms)
+            costs = [[cost_of(t, self.decisions, {*self.given, *some}) for t in some.values()] for some in both]
+            found = likelier - numbers - sum(costs[0]) + sum(costs[1]) > 0.0
         if not found:
             self.fit, self.terms, self.noise = before, terms, noise
         self._linearise()

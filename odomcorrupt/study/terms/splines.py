@@ -55,13 +55,11 @@ def curve_regressors(
             continue
         knots = _apart(np.quantile(moving, np.linspace(0.02, 0.98, _HATS[name])))
         if len(knots) > 2:
-            regressors[name] = _hats(value, knots)
+            regressors[name] = lambda m, v=value, k=knots: (_linear_hats(v(m), k), k)  # type: ignore[misc]
     if not placed:
         return regressors
     regressors["heading"] = _harmonics
-    xs, ys = (
-        spread(np.concatenate(axis), (0.02, 0.98), _GRID) for axis in ([m.x for m in motions], [m.y for m in motions])
-    )
+    xs, ys = (spread(np.concatenate([getattr(m, k) for m in motions]), (0.02, 0.98), _GRID) for k in "xy")
     regressors["position"] = _tiles(xs, ys)
     return regressors
 
@@ -73,10 +71,6 @@ def _apart(knots: Array) -> Array:
         if knot - kept[-1] > least:
             kept.append(knot)
     return np.array(kept)
-
-
-def _hats(value: Callable[[Motion], Array], knots: Array) -> Callable[[Motion], tuple[Array, Array]]:
-    return lambda motion: (_linear_hats(value(motion), knots), knots)
 
 
 def _linear_hats(values: Array, knots: Array) -> Array:
