@@ -839,8 +839,8 @@ def _overflows(look: Look, i: int) -> Figures | None:
         return None
     usual = np.stack([np.interp(n, n[~far], x[~far]) for x in rows.T], axis=1)
     bend = float(np.median(np.abs(wrap(rows[far, 2] - usual[far, 2]))))
-    size *= 1 + int(bend > _BENT_RAD)  # of one wheel of two; without a turn it is the only one, or both
-    wheel_m = float(np.median(size[far] + 2.0 * np.abs(usual[far, 0])))  # the wheel goes on meanwhile
+    size *= (sides := 1 + int(bend > _BENT_RAD))  # of one wheel of two; without a turn it is the only one, or both
+    wheel_m = float(np.median(size[far] + sides * np.abs(usual[far, 0])))  # the wheel goes on meanwhile
     if np.mean(np.abs(size[far] - wheel_m) < 0.25 * wheel_m) < 0.5:  # travel has the cosine of a steering angle
         return None
     return _counter(int(far.sum()), wheel_m, bend, size[~far], usual)
