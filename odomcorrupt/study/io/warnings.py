@@ -138,7 +138,9 @@ def without_course(odometry: Samples, truth: Samples) -> Samples:
     here, there, _ = Look((odometry, truth)).motions
     forwards = there[:, 0] > 0.5 * np.abs(here[:, 0])
     back, ahead = (forwards[moving(here[:, 0], side)] for side in (-1, 1))
-    if min(len(back), len(ahead)) < 2 * _MIN_STEPS or not (back.mean() > _MOSTLY and ahead.mean() > _NEARLY_ALL):
+    ahead_m, aside_m, _ = np.abs(there).sum(axis=0)
+    enough = min(len(back), len(ahead)) >= 2 * _MIN_STEPS and aside_m < 0.5 * ahead_m
+    if not enough or back.mean() <= _MOSTLY or ahead.mean() <= _NEARLY_ALL:
         return truth
     return truth.without_headings().noted(
         "its headings point to where it moves, also when the robot backs up: taken as positions alone"

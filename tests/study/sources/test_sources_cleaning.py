@@ -266,6 +266,16 @@ def test_headings_that_point_to_where_a_robot_backs_up_are_none(read, course):
     assert any("also when the robot backs up" in note for note in recording.notes) == course
 
 
+def test_headings_of_a_robot_that_drives_sideways_are_headings(read):
+    t_s = np.arange(0.0, 60.0, 0.05)
+    # their axes differ by a small angle: the odometry goes back by a little where the truth goes ahead by as little
+    steps = [0.05 * (v + 0.06 * np.sin(0.5 * t_s) + 0.3j) * np.exp(0.2j * t_s) for v in (0.0, 0.08)]
+    stamps_ns = START_NS + np.round(t_s * 1e9).astype(np.int64)
+    paths = [np.column_stack((np.cumsum(s.real), np.cumsum(s.imag), 0.0 * t_s)) for s in steps]
+    (recording,) = read(*(Rows(stamps_ns, path, 0.2 * t_s) for path in paths))
+    assert recording.headed
+
+
 @pytest.fixture(scope="module")
 def office():
     return simulate(31, None, duration_s=60.0)
