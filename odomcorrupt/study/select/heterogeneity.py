@@ -58,11 +58,9 @@ def disagreements(fit: Fit, level: float) -> tuple[ParameterDifference, ...]:
     runs = [int(leader) for leader in np.unique(leaders)]
     if len(runs) < 2:
         return ()
-    kinds = registry()
-    tested = [fit.by_name.get(name) or kinds[name]() for name in _CHANGING]
-    others = replace(
-        fit, problem=replace(problem, effects=tuple(e for e in problem.effects if e.name not in _CHANGING))
-    )
+    tested = [fit.by_name.get(name) or registry()[name]() for name in _CHANGING]
+    kept = tuple(e for e in problem.effects if e.name not in _CHANGING)
+    others = replace(fit, problem=replace(problem, effects=kept))
     without_noise = replace(others, noise=without_random(fit.noise, problem, others.design_matrix), random=())
     belongs = leaders[problem.run]
     common = [problem.columns(effect) for effect in tested]

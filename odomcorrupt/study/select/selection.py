@@ -189,7 +189,7 @@ class _Selection:
         one = [self.chosen, *((j,) for j in others if self.competing[j].name not in self.decisions.commanded)]
         score = replace(self.evidence, low=low, high=high).gains(one).score
         forbidden = ~np.isfinite(self.evidence.gains(one).score)
-        return bool(np.any(score[forbidden] > score[0] + self.decisions.replacement_nats))
+        return bool(np.isfinite(score[0]) and np.any(score[forbidden] > score[0] + self.decisions.replacement_nats))
 
     def _select(self) -> None:
         """Take rounds until the best set of terms is that of the model."""
@@ -233,20 +233,30 @@ class _Selection:
             least = self.evidence.cost[list(best)].sum() - self.evidence.cost[list(self.chosen)].sum()
             if len(set(best) - set(self.chosen)) > 1 and np.isfinite(more):
                 least = max(least, _TRUST * more)
-            try:
-                larger = self._refitted(best, weights_of=self.fit)
-            except (FitError, EffectError):
-                larger = None
-            if larger is not None and larger.log_likelihood - self.fit.log_likelihood > least:
-                terms = [self.competing[i] for i in best]
-                self.terms = {t.name: t for t in terms if not isinstance(t, ClockTerm)}
-                self.fit = self._with_shapes(larger.refit())
+            if self._gains_in_refit(best, least):
                 return True
             if misleading := self._misleading(best, more):
                 self._exclude(np.isin(self.evidence.group, self.evidence.group[misleading]))
             else:
                 self.search.refuse(best)
         return False
+
+    def _gains_in_refit(self, subset: Subset, least: float) -> bool:
+        """Replace the model by its refit with a set of terms, if that gains `least` nats with the same weights."""
+        before = self.terms
+        try:
+            larger = settled = self._refitted(subset)
+            if larger.log_likelihood - self.fit.log_likelihood > least:
+                self.terms = {t.name: t for i in subset if not isinstance(t := self.competing[i], ClockTerm)}
+                settled = self._with_shapes(larger.refit())
+                larger = settled.refit(weights_of=self.fit)  # with its own weights it may have diverged
+        except (FitError, EffectError):
+            larger = settled = self.fit
+        if settled is self.fit or larger.log_likelihood - self.fit.log_likelihood <= least:
+            self.terms = before
+            return False
+        self.fit = settled
+        return True
 
     def _misleading(self, subset: Subset, more: float) -> list[int]:
         """Return the new terms of a set whose error, removed from the odometry, is not nearly what their columns say.
@@ -276,8 +286,8 @@ class _Selection:
             else:
                 yield i, own, term.effect(sizes) if isinstance(term, BasisTerm) else None
 
-    def _refitted(self, subset: Subset, weights_of: Fit | None = None) -> Fit:
-        """Return the refit with a set of terms, started at their linear estimates."""
+    def _refitted(self, subset: Subset) -> Fit:
+        """Return the refit with a set of terms, started at their linear estimates, with the same weights."""
         found = [*self._estimates(subset)]
         names = [self.competing[i].name for i, _, effect in found if effect is None]
         effects = [e for e in self.fit.effects if e.name in self.given]
@@ -285,7 +295,7 @@ class _Selection:
         free = self.clocks.free(names, clock_leaders(self.fit.problem.recordings))
         now = np.where(free, as_rows(self.fit.problem.clocks), self.clocks.base)
         clocks = [Clock(*own) for own in now.tolist()]
-        return self.fit.refit(effects, clocks=clocks, free_clocks=free, weights_of=weights_of)
+        return self.fit.refit(effects, clocks=clocks, free_clocks=free, weights_of=self.fit)
 
     def _with_shapes(self, fitted: Fit) -> Fit:
         """Return a fit with the shape of each of its terms at the maximum of the likelihood, beside all others."""
@@ -312,20 +322,23 @@ class _Selection:
         In the search shapes are held and columns are linear: a slight error of a large effect's shape, or the square
         of its size, is explained by a further term.
         """
-        gains = {self.competing[i].name: more for i, more in self._gains().items()}
-        least, most = self.decisions.practical.share * sum(gains.values()), 1.0 + self.decisions.practical.share
-        slight = sorted((gains[name], name) for name in self.terms if gains.get(name, np.inf) < least)
-        whole_m = [ten_second_error(self.fit, s) for s in _SPANS_S]
-        for _, name in slight:
-            kept, before = dict(self.terms), self.fit
+        gains, whole = self._gains(), self.fit
+        least = self.decisions.practical.share * sum(gains.values())
+        slight = sorted((more, i) for i, more in gains.items() if more < least and self.competing[i].name in self.terms)
+        for _, i in slight:
+            kept, before, name = dict(self.terms), self.fit, self.competing[i].name
             del self.terms[name]
             others = [e for e in self.fit.effects if e.name != name]
             self.fit = self._with_shapes(self.fit.refit(others, weights_of=self.fit))
             compared = before.refit(weights_of=before), self.fit.refit(weights_of=before)
-            index = next(i for i in self.chosen if self.competing[i].name == name)
-            gained = compared[0].log_likelihood - compared[1].log_likelihood > 2.0 * self.evidence.cost[index]
-            if gained and any(ten_second_error(self.fit, s) > most * m for s, m in zip(_SPANS_S, whole_m, strict=True)):
+            gained = compared[0].log_likelihood - compared[1].log_likelihood > self.evidence.cost[i]
+            if gained and self._is_worse(self.fit, whole):
                 self.terms, self.fit = kept, before
+
+    def _is_worse(self, fit: Fit, than: Fit) -> bool:
+        """Return whether the error after 10 s or after a minute is larger by what is of practical size."""
+        most = 1.0 + self.decisions.practical.share
+        return any(ten_second_error(fit, s) > most * ten_second_error(than, s) for s in _SPANS_S)
 
     def _gains(self) -> dict[int, float]:
         """Return the gain of each term of the model beside the others minus its cost, by its index, nats."""
@@ -371,7 +384,8 @@ class _Selection:
         self.work.within_step("random processes")
         before = self.fit
         larger, effect = iterate(before.refit(random=(*before.random, found[0].effect)), found[0].effect)
-        if larger.log_likelihood <= before.log_likelihood:  # it diverged
+        recurs = self.dictionary.recurring and self._is_worse(larger, before)  # it takes part of what recurs
+        if recurs or larger.log_likelihood <= before.log_likelihood:  # it diverged
             return False
         self.fit, nats = larger, gain_in_refit(found[0], before, larger)
         self.noise.append(DetectedRandomEffect(effect, nats))

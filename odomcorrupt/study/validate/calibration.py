@@ -199,7 +199,7 @@ def _squares(
         scale *= np.exp(spread * rng.standard_normal(_DRAWS))
     scale = np.maximum(scale, _MIN_VARIANCE)
     by = rng.standard_normal((_DRAWS, len(uncertainty.gram)))
-    offset = freedom * np.maximum(np.einsum("di,ij,dj->d", by, uncertainty.gram, by), 0.0)
+    offset = freedom * np.maximum(np.sum((by @ uncertainty.gram) * by, axis=1), 0.0)
     if errors.shared is None:
         return scale * rng.noncentral_chisquare(freedom, offset)
     return scale * (_draws(errors, rng) + offset)

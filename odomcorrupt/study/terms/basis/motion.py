@@ -56,8 +56,8 @@ def functions_of_motion(motions: Sequence[Motion], *, sideways: bool = False) ->
         if regressor == _SIDEWAYS and not sideways:
             continue
         yield BasisFunction(regressor, f"k * {text}", (value,), reaches=_reaches(regressor, "one"))
-        if regressor != "distance":  # nearly the same as a threshold of time
-            yield from _thresholds(regressor, motions)
+        if regressor not in ("distance", "time"):  # the former is nearly the same as the latter, see `time`
+            yield from thresholds(regressor, motions)
         if regressor in _HINGED:
             yield from _hinges(regressor, motions)
     yield from _either_signs(motions)
@@ -114,7 +114,7 @@ def _reaches(regressor: str, *wheels: str) -> tuple[str, ...]:
     )
 
 
-def _thresholds(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+def thresholds(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction]:
     """Yield steps at thresholds of a regressor, at quantiles of its values while the robot moved."""
     ways = (True, False) if regressor in _SIGNED else (True,)
     within = (-_latest(regressor, motions, -1.0) if len(ways) > 1 else 0.0, _latest(regressor, motions))

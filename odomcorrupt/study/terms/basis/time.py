@@ -1,13 +1,14 @@
-"""Basis functions of time: exponential settling, slow oscillations of minutes, and spells between two moments."""
+"""Basis functions of time: exponential settling; of one drive also steps, and spells between two moments."""
 
 from __future__ import annotations
 
-from itertools import product
+from itertools import pairwise, product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.study.terms.basis.basis_function import REFINING, BasisFunction
+from odomcorrupt.study.terms.basis.motion import thresholds
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
 _SETTLE_S = (30.0, 80.0, 200.0)  # settling times on the grid, s
 _QUICKEST_S, _SLOWEST_S = 10.0, 1e4
 """Least and largest settling time that is tried, s; faster settling leaves nothing to observe."""
-_SHORTEST_SWING_S, _SWING_STEP = 40.0, 0.2
-"""Shortest period of an oscillation, s, and the step of the logarithm of the period."""
 _SPELLS, _SPELL_PARTS = 10, (0.08, 0.16)
 """Number of centres of a spell that are tried, and half its length as fractions of the whole time."""
 _ANYWHERE = ("body", "one", "both", "twist")  # targets of functions of time
@@ -27,18 +26,18 @@ _ANYWHERE = ("body", "one", "both", "twist")  # targets of functions of time
 def functions_of_time(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
     """Yield every function of time to be tried on these motions.
 
-    Exponential decays and rises are those of tyres, motors and sensors that warm up; oscillations with periods of
-    minutes, of sun and shade or a shared load; errors between two moments, of a load that was carried for a while.
+    Exponential decays and rises are those of tyres, motors and sensors that warm up; errors from or between two
+    moments, of a load that was carried for a while, have no time in common in several drives.
     """
     for tau_s, rising in product(_SETTLE_S, (False, True)):
         yield _settling((float(np.log(tau_s)),), rising=rising)
+    ends_s = sorted((float(m.t_s[0]), float(m.t_s[-1])) for m in motions)
+    if any(after[0] < before[1] for before, after in pairwise(ends_s)):
+        return
+    yield from thresholds("time", motions)
     longest_s = max(float(np.ptp(m.t_s)) for m in motions)
-    count = int(np.ceil(np.log(max(longest_s / _SHORTEST_SWING_S, 1.0)) / _SWING_STEP)) + 1
-    for i in range(count):
-        yield _swing((float(np.log(longest_s)) - i * _SWING_STEP,), count)
-    start_s = min(float(m.t_s[0]) for m in motions)
     for part, i in product(_SPELL_PARTS, range(_SPELLS)):
-        yield _spell((start_s + (i + 0.5) / _SPELLS * longest_s, part * longest_s), 0.25 * longest_s / _SPELLS)
+        yield _spell((ends_s[0][0] + (i + 0.5) / _SPELLS * longest_s, part * longest_s), 0.25 * longest_s / _SPELLS)
 
 
 def _settling(shape: tuple[float, ...], *, rising: bool) -> BasisFunction:
@@ -52,20 +51,6 @@ def _settling(shape: tuple[float, ...], *, rising: bool) -> BasisFunction:
         shape=shape,
         steps=(0.5,),
         with_shape=lambda moved: _settling(moved, rising=rising),
-    )
-
-
-def _swing(shape: tuple[float, ...], count: int) -> BasisFunction:
-    pace = 2.0 * np.pi / float(np.exp(shape[0]))
-    return BasisFunction(
-        "time",
-        f"k * cos({pace:.6g} * t) + m * sin({pace:.6g} * t)",
-        (lambda m: np.cos(pace * m.t_s), lambda m: np.sin(pace * m.t_s)),
-        count * REFINING,
-        reaches=("body", "bias"),
-        shape=shape,
-        steps=(0.5 * _SWING_STEP,),
-        with_shape=lambda moved: _swing(moved, count),
     )
 
 
