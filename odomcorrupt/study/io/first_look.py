@@ -15,9 +15,8 @@ import numpy as np
 
 from odomcorrupt.drive_types import STEERED
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.effects.compensation import corrected_increments
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.geometry.motion import motion_of, step_of
+from odomcorrupt.geometry.motion import step_of
 from odomcorrupt.geometry.se2 import Increments, accumulate, between, increments, wrap
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.study.io.plausibility import check_pair, cross_correlation
@@ -156,12 +155,14 @@ class Own(NamedTuple):
 
     agreement : for each of `READINGS`, 1 if its path has the directions of its headings so multiplied, 0 if none
     chords : number of directions compared
+    line : 1 if all its directions are along one line
     fixed : 1 if its headings are constant or opposite
     turned : extent of its headings, rad
     """
 
     agreement: tuple[float, ...] = (0.0,) * len(READINGS)
     chords: int = 0
+    line: float = 0.0
     fixed: float = 0.0
     turned: float = 0.0
 
@@ -186,9 +187,8 @@ def own_of(path: Samples) -> Own:
     course, middle = _chords(path.xyz[:, :2])
     readings = [path.yaw_rad[middle], np.unwrap(path.yaw_rad)[middle]]
     agreement = [max(_concentration(2.0 * (course - k * yaw)) for yaw in readings) for k in READINGS]
-    return Own(
-        tuple(agreement), len(course), _concentration(2.0 * path.yaw_rad), float(np.ptp(np.unwrap(path.yaw_rad)))
-    )
+    line, fixed = _concentration(2.0 * course), _concentration(2.0 * path.yaw_rad)
+    return Own(tuple(agreement), len(course), line, fixed, float(np.ptp(np.unwrap(path.yaw_rad))))
 
 
 def _chords(xy: Array) -> tuple[Array, NDArray[np.int64]]:
@@ -307,14 +307,14 @@ class Look:
         every = np.square((here, there, there - here))
         return np.sqrt(every[:, :, :2].sum(axis=2).mean(axis=1)), np.sqrt(every[:, :, 2].mean(axis=1))
 
-    def bare(self, i: int) -> Look:
-        """Return the look without the headings of one of the two."""
-        one, other = self.paths
-        return replace(self, paths=(one, other.without_headings()) if i else (one.without_headings(), other))
+    def having(self, i: int, path: Samples) -> Look:
+        """Return the look with another path for one of the two."""
+        return replace(self, paths=(self.paths[0], path) if i else (path, self.paths[1]))
 
     def turns_by(self, i: int, factor: float) -> float:
         """Return how well one turns by a factor times the other from pose to pose, but for whole turns: 1 if so."""
-        path, other, times = self.paths[i], self.paths[1 - i], self.bare(i).windows[2]
+        path, other = self.paths[i], self.paths[1 - i]
+        times = self.having(i, path.without_headings()).motions[2]
         origin = int(self.paths[0].stamps_ns[0])
         at_s = path.seconds_since(origin) + (times[1 - i] - times[i])[0]
         turned = np.interp(at_s, other.seconds_since(origin), np.unwrap(other.yaw_rad))
@@ -442,10 +442,9 @@ def first_look(look: Look) -> FirstLook:
     """
     found: list[Mistake] = []
     gains = (1.0, 1.0)
-    odometry, truth = look.paths
-    if truth.headed and look.own[1].turned < 1e-6 and look.own[0].turned > 0.5:
-        truth = truth.without_headings().noted("its headings never change: its positions alone are used")
-        look = replace(look, paths=(odometry, truth))
+    if look.paths[1].headed and look.own[1].turned < 1e-6 and look.own[0].turned > 0.5:
+        said = "its headings never change: its positions alone are used"
+        look = look.having(1, look.paths[1].without_headings().noted(said))
     for pattern in PATTERNS:
         if pattern.name == "overflow":  # clocks are right from here on
             check_pair(*look.paths)
@@ -456,10 +455,10 @@ def first_look(look: Look) -> FirstLook:
                 continue
             found.append(_mistake(pattern, look, figures))
             if (undo := figures.get("undo")) is None:
-                raise RecordingError(found[-1]._replace(then="").sentence)
+                found[-1] = found[-1]._replace(then="")
+                raise RecordingError(". ".join(one.sentence for one in found))
             gains = figures.get("gains", gains)
-            one, other = look.paths
-            look = replace(look, paths=(one, undo(other)) if figures.get("i", 0) else (undo(one), other))
+            look = look.having(i := figures.get("i", 0), undo(look.paths[i]))
     return FirstLook(*look.paths, tuple(found), gains, look.words)
 
 
@@ -512,7 +511,7 @@ def _mirrored_headings(look: Look, i: int) -> Figures | None:
     if own.chords < _FEWEST or not alone or _turn_between(look.paths[i]) > _LOST:
         return None
     # the path by itself turns as the other trajectory does, or is mirrored
-    axis = 1.0 if look.bare(i).correlations[2, 2] > 0.0 else -1.0
+    axis = 1.0 if look.having(i, look.paths[i].without_headings()).correlations[2, 2] > 0.0 else -1.0
     return {"i": i, "undo": lambda p: replace(p, xyz=p.xyz * [1.0, axis, 1.0], yaw_rad=-axis * p.yaw_rad)}
 
 
@@ -520,7 +519,9 @@ def _unit_of_headings(look: Look, i: int) -> Figures | None:
     """Find headings in another unit by the path, or by the odometry's turns if the path has other directions."""
     own = look.own[i]
     best, factor = max(zip(own.agreement, READINGS, strict=True))
-    if not READINGS[factor] or own.chords < _FEWEST or own.agreement[0] > _CLEAR or best < _FOLLOWS:
+    # a path along one line shows no unit
+    wrong = own.chords >= _FEWEST and own.agreement[0] <= _CLEAR and own.line <= _FOLLOWS <= best
+    if not READINGS[factor] or not wrong:
         return None
 
     def undo(path: Samples) -> Samples:
@@ -541,7 +542,7 @@ def _degrees_in_cosines(look: Look) -> Figures | None:
     fits = [_concentration(2.0 * (np.angle(step) - course)[moving(np.abs(step))]) for course in courses]
     along = np.real(step * np.exp(-1j * courses[int(np.argmax(fits))]))
     mended = _moved_by(path, np.column_stack((along, 0.0 * along, wrap(np.diff(path.yaw_rad)))))
-    turn = replace(look, paths=(mended, look.paths[1])).scales[1]
+    turn = look.having(0, mended).scales[1]
     right = max(fits) > _FOLLOWS and look.own[0].agreement[0] < _CLEAR and turn.sure and not turn.beyond(_WRONG)
     return {"undo": lambda _: mended} if right else None
 
@@ -592,22 +593,20 @@ def _unrelated(look: Look, i: int) -> Figures | None:
     if not degrees and abs(look.correlations[2, 2]) > _UNCLEAR:
         return None
     what = "are 0 or 180 deg alone" if own.fixed > _FOLLOWS else "turn otherwise"
-    return {"i": i, "what": f"{what} ({_DEGREES})" if degrees else what, **undo}
+    return {"i": i, "what": f"{what} (degrees given to a function of radians)" if degrees else what, **undo}
 
 
 def _upright(look: Look) -> Figures | None:
-    def width(plane: Array) -> float:  # the smaller standard deviation of points about their axes
-        return float(np.linalg.svd(plane - plane.mean(axis=0), compute_uv=False)[-1] / np.sqrt(len(plane)))
-
-    wide, xyz = width(look.paths[0].xyz[:, :2]), look.paths[1].xyz
-    if wide < 0.05 or width(xyz[:, :2]) > 0.25 * wide:
+    own, real = (p.xyz - p.xyz.mean(axis=0) for p in look.paths)
+    size, axes = np.linalg.svd(real / np.sqrt(len(real)), full_matrices=False)[1:]
+    wide = float(np.linalg.svd(own[:, :2] / np.sqrt(len(own)), compute_uv=False)[1])
+    up = int(np.argmax(np.abs(axes[2])))
+    if wide < 0.05 or size[1] < 0.5 * wide or size[2] > 0.25 * wide or up == 2:
         return None
-    for up, plane in (("y", [2, 0]), ("x", [1, 2])):
-        if width(xyz[:, plane]) > 0.5 * wide:
-            columns = [*plane, "xyz".index(up)]
-            undo = lambda path, order=columns: replace(path, xyz=path.xyz[:, order]).without_headings()  # noqa: E731
-            return {"i": 1, "up": up, "plane": "-".join(sorted("xyz"[k] for k in plane)), "undo": undo}
-    return None
+    order = [(up + 1) % 3, (up + 2) % 3, up]
+    plane = "-".join(sorted("xyz"[k] for k in order[:2]))
+    undo = lambda path: replace(path, xyz=path.xyz[:, order]).without_headings()  # noqa: E731
+    return {"i": 1, "up": "xyz"[up], "plane": plane, "undo": undo}
 
 
 def _rate(look: Look) -> Figures | None:
@@ -708,15 +707,15 @@ def _wheel_gains(look: Look) -> Figures | None:
     names, rolls = _WHEELS[2 * len(axes) - 2]
     matrix, explained = _matrix(look, axes)
     by_turn, by_travel = np.abs(matrix[:-1, -1]).sum(), np.abs(matrix[-1, :-1]).sum()
-    if explained < _FOLLOWS or not 1e-6 < by_turn < by_travel:
+    if explained < _FOLLOWS or not 1e-6 < by_turn < 2.0 * by_travel:
         return None
     arm_m = np.array((*axes[1:], np.sqrt(by_turn / by_travel))) ** (np.array(axes) == 2)
     scaled = matrix / arm_m * arm_m[:, None]
     mean = np.diag(np.diag(scaled))
     if look.sideways and np.abs(scaled @ scaled - np.eye(3)).max() < 0.2 < np.abs(scaled - mean).max():
         back = np.asarray(np.linalg.inv(matrix))
-        return {"each": "exchanged", "explained": f"{explained:.1%}", "cause": "two wheels are exchanged",
-                "change": "exchange them", "undo": _by(back), "then": _UNDONE}  # fmt: skip
+        return {"each": "exchanged", "explained": f"{explained:.1%}", "change": "exchange them, or negate its counts",
+                "cause": "two wheels exchanged, or one of 3 reversed", "undo": _by(back), "then": _UNDONE}  # fmt: skip
     gains = np.trace(mean) / len(axes) + np.einsum("ij,jk,ik->i", rolls, scaled - mean, rolls) / 2.0
     most = float(np.abs(gains).max())
     off = np.abs(rolls.T @ (gains[:, None] * rolls) / len(rolls) - scaled).max()
@@ -780,7 +779,8 @@ def _aside(look: Look) -> Figures | None:
         rest = np.abs(there[:, 1:2] - here[:, ::2] @ _linear(here[:, ::2], there[:, 1:2])[0].T)[:, 0]
         usual = np.percentile(np.abs(there[:, 0]), 80.0)
         # where headings of the truth are turned for a while, it moves sideways only as the odometry drives
-        off = (rest > _MOVING * usual) & (rest < 2.0 * usual) & (np.abs(here[:, 0]) < rest / 2.0)
+        ahead = np.minimum(np.abs(here[:, 0]) / 5.0, np.abs(there[:, 0] - here[:, 0]))
+        off = (rest > _MOVING * usual) & (rest < 2.0 * usual) & (ahead < 0.1 * rest)
         return {"how": "never moves sideways, unlike"} if off.mean() > 0.02 and here[:, 1].std() < 0.1 * usual else None
     size = abs(side.value) / look.scales[0].value
     wrong = not 1.0 / _SKIDS < size < _WRONG
@@ -826,16 +826,18 @@ def _overflows(look: Look, i: int) -> Figures | None:
         few |= np.ptp(np.percentile(real, (5.0, 95.0), axis=1), axis=0).max() < 0.03 * wheel_m
         # headings that turn by more than half a turn reverse increments, whose size stays
         few |= np.median(np.abs(np.diff(np.abs(wheels), axis=1))[same]) < 0.1 * wheel_m
-        if count > 2 + 0.01 * len(rows) and not few:
+        if 2 + 0.01 * len(rows) < count < 0.8 * len(rows) and not few:
             far = (np.abs(real - wheels) > wheel_m / 2.0).any(axis=0)
             rows[:, 0] = real.mean(axis=0)
             rows[:, 2] = (real[1] - real[0]) / (2.0 * arm_m) if arm_m else np.interp(n, n[~far], rows[~far, 2])
             return _counter(count, wheel_m, wheel_m / (2.0 * arm_m or np.inf), real, rows)
     # jumps that turn a robot by more than half a turn have another sign; rare ones are bridged
     size = np.hypot(rows[:, 0], rows[:, 1])
-    beside = np.maximum(np.append(size[1:], np.inf), np.append(np.inf, size[:-1]))
-    far = size > 3.0 * np.maximum(beside, np.percentile(size[size > 0.0], 80.0)) if size.any() else size > 0.0
-    if i or not 1 < far.sum() < 0.2 * len(far):
+    speed = size / np.diff(look.paths[0].t_s)
+    beside = np.maximum(np.append(speed[1:], np.inf), np.append(np.inf, speed[:-1]))
+    far = speed > 3.0 * np.maximum(beside, np.percentile(speed[size > 0.0], 80.0)) if size.any() else size > 0.0
+    # resets lead to one pose
+    if i or not 1 < far.sum() < 0.2 * len(far) or np.ptp(look.paths[0].xyz[1:][far], 0).max() < 0.01 * size[far].max():
         return None
     usual = np.stack([np.interp(n, n[~far], x[~far]) for x in rows.T], axis=1)
     bend = float(np.median(np.abs(wrap(rows[far, 2] - usual[far, 2]))))
@@ -931,17 +933,14 @@ def _whole_steps(look: Look) -> Figures | None:
     design = np.column_stack((here[used, 0], steps[used])) / noise
     inverse = np.linalg.pinv(design.T @ design + np.diag((1.0 / 0.02**2, 0.0)))
     lost, error = float((inverse @ design.T @ off[used])[1]) / noise, float(np.sqrt(inverse[1, 1]))
-    # increments of ticks lose nothing; speeds in steps do, unless they are rounded
-    near = abs(lost - 1.0) < max(0.2, 2.5 * error)
-    if not (speeds and near) and not (max(0.25, 2.5 * error) < lost < 2.0 and (near or not turn)):
+    # each of n wheels loses half a step on average, and travel has steps of an n-th of theirs
+    wheels = min((1, 2, 4), key=lambda n: abs(np.log(max(lost, 1e-3) / n * 2.0)))
+    # increments of ticks lose nothing, and speeds that are rounded neither
+    near = abs(lost - wheels / 2.0) < max(0.2, 0.1 * wheels, 2.5 * error)
+    if lost < max(0.25, 2.5 * error) or not near or (turn and wheels == 1 and not speeds):
         return None
-    # each wheel loses half a step on average; of two wheels, travel has steps of half of theirs
-    wheel = 2.0 * step if turn or lost > _CLEAR else step
-    sizes = {"step": wheel / float(np.median(dt_s / per)), "track": 2.0 * step / turn if turn else 0.0}
-    effect, motion = effect_from_values("truncated_counts", sizes), motion_of(path.t_s, path.trajectory().xyt)
-    mended = corrected_increments([effect], motion).rows
-    mended[:, 2] = mended[:, 2] if turn else rows[:, 2]
-    said = f"{'speeds' if speeds else 'increments'} are whole steps of {1e3 * wheel:.3g} mm{'/s' * speeds}"
+    mended = rows + np.sign(rows) * per[:, None] * lost * np.array((step, 0.0, turn))
+    said = f"{'speeds' if speeds else 'increments'} are whole steps of {1e3 * wheels * step:.3g} mm{'/s' * speeds}"
     return {"steps": said, "lost": f"{lost:.2f} +- {error:.2f}", "undo": lambda path: _moved_by(path, mended)}
 
 
@@ -982,7 +981,9 @@ def _stands(look: Look, i: int) -> Figures | None:
     """Find windows in which one of the two does not move at all while the other one does."""
     here, there = look.motions[:2][:: 1 - 2 * i]
     moves = (speed := np.hypot(there[:, 0], there[:, 1])) > 0.5 * np.percentile(speed, 95.0)
-    still = (np.abs(here) <= 1e-3 * np.percentile(np.abs(here), 95.0, axis=0)).all(axis=1)
+    # a truth has noise, also of a robot that is blocked
+    size = np.column_stack((np.hypot(here[:, 0], here[:, 1]), np.abs(here[:, 2])))
+    still = (size <= (1e-3, 0.04)[i] * np.percentile(size, 95.0, axis=0)).all(axis=1)
     lost, runs = moves & still, runs_of(np.asarray(still))
     lost_s, share = float(lost.sum()) * look.window_s / 4.0, float(lost.sum()) / max(moves.sum(), 1)
     if lost_s < 10.0 or (share < 0.2 and all(moves[a:b].sum() * look.window_s <= 40.0 for a, b in runs)):
@@ -1050,7 +1051,8 @@ def _turns_otherwise(look: Look) -> Figures | None:
     """Find odometry whose travel is the truth's and whose turns are not."""
     corr = float(look.correlations[2, 2])
     few = look.sizes[1][:2].min() < _FEW_TURNS or moving(look.windows[1][:, 0]).sum() < 5 * _FEWEST
-    return None if few or abs(corr) > _UNCLEAR or look.scales[0].spread > 2.0 * _ALIKE else {"corr": corr}
+    even = look.scales[0].spread < (2.0 if look.paths[1].headed else 4.0) * _ALIKE
+    return None if few or abs(corr) > _UNCLEAR or not even else {"corr": corr}
 
 
 def _unit_of_lengths(look: Look) -> Figures | None:
@@ -1103,7 +1105,6 @@ def _hint(factor: float, causes: dict[float, str]) -> str:
     return f" ({nearest})" if off < 1.5 * _ALIKE else ""
 
 
-_DEGREES = "degrees given to a function of radians"
 _RECORD = "mend it and record again"
 _UNDONE = "this is undone in the odometry, and not in the model"
 _NO_DIRECTION = "encoders without direction (one channel, or a counter that cannot count down); unsigned speeds"
@@ -1121,6 +1122,9 @@ PATTERNS = (
             "{who}: its clock advances {rate} s in a second of {other}'s{doubt} (stretched, motions correlate by "
             "{best})", "stamps in another unit, or counted at another rate; a simulation slower than its clock",
             "give stamps of one clock in seconds", "its stamps are multiplied by {factor}", _rate),
+    Pattern("whole positions", "{who}: its positions are whole multiples of {step}, and it travels {far} mm at most "
+            "between messages", "integers or few digits", "publish positions as they are computed",
+            "one pose of {few} is used", _whole_positions, alone=True),
     Pattern("repeated poses",
             "{who} repeats its last pose for up to {longest} s while {other} moves, and then jumps ({count} times)",
             "a driver that is late or stalls, and publishes its last pose again", "publish each pose once",
@@ -1137,7 +1141,8 @@ PATTERNS = (
             "x += v cos(yaw) dt with yaw in degrees", "convert to radians before cos and sin",
             "its path is made again of its steps and headings", _degrees_in_cosines),
     Pattern("unit of headings", "{who}: its headings, not its path, are of another unit: {unit}",
-            _DEGREES + ", or the other way round; a column with the wrong name; yaw for yaw / 2 in a quaternion",
+            "degrees given to a function of radians, or the other way round; a column with the wrong name; yaw for "
+            "yaw / 2 in a quaternion",
             "name the column yaw_deg or yaw_rad, as it is; for a bag, convert before making quaternions",
             "its headings are multiplied by {factor}", _unit_of_headings, alone=True),
     Pattern("folded headings", "{who}: its headings are of half a circle alone, and jump by 180 deg {count} times",
@@ -1149,9 +1154,6 @@ PATTERNS = (
     Pattern("mirrored headings", "{who}: its headings turn the other way than its path does",
             "an axis is mirrored; compass headings", "turn a compass by 90 deg - yaw, or flip the axis",
             "mirrored so that it turns as {other} does", _mirrored_headings, alone=True),
-    Pattern("whole positions", "{who}: its positions are whole multiples of {step}, and it travels {far} mm at most "
-            "between messages", "integers or few digits", "publish positions as they are computed",
-            "one pose of {few} is used", _whole_positions, alone=True),
     Pattern("plane", "{who}: moves in its {plane} plane, not in x-y: {up} points up there",
             "axes of a camera or of a game", "turn it so that z points up",
             "turned so; its positions alone are used", _upright),
@@ -1169,8 +1171,9 @@ PATTERNS = (
             "are)", "clocks that are not synchronised; one of the files began later", "give --truth-shift {shift}", "",
             _late),
     Pattern("stands still", "{who} stands still for {lost} s while {other} moves ({share} of its motion)",
-            "a driver that lost its wheels, or a tracker its target, and repeats a message; a cable; wheels lifted",
-            _RECORD, "these stretches are left out", lambda look: _stands(look, 0) or _stands(look, 1)),
+            "a driver that lost its wheels, or a tracker its target, and repeats a message; wheels "
+            "that spin, or odometry of commands, while the robot is blocked", _RECORD,
+            "these stretches are left out", lambda look: _stands(look, 0) or _stands(look, 1)),
     Pattern("one encoder", "{who}'s {side} wheel never drives in reverse, the truth's does in {share} of its time; it "
             "{how}", _NO_DIRECTION, _SIGNED, "", _one_encoder),
     Pattern("one heading", "{who} {does} {when} while it travels and {other} turns otherwise",
