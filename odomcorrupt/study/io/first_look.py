@@ -779,8 +779,7 @@ def _aside(look: Look) -> Figures | None:
         rest = np.abs(there[:, 1:2] - here[:, ::2] @ _linear(here[:, ::2], there[:, 1:2])[0].T)[:, 0]
         usual = np.percentile(np.abs(there[:, 0]), 80.0)
         # where headings of the truth are turned for a while, it moves sideways only as the odometry drives
-        ahead = np.minimum(np.abs(here[:, 0]) / 5.0, np.abs(there[:, 0] - here[:, 0]))
-        off = (rest > _MOVING * usual) & (rest < 2.0 * usual) & (ahead < 0.1 * rest)
+        off = (rest > _MOVING * usual) & (rest < 2.0 * usual) & (np.abs(here[:, 0]) < rest / 2.0)
         return {"how": "never moves sideways, unlike"} if off.mean() > 0.02 and here[:, 1].std() < 0.1 * usual else None
     size = abs(side.value) / look.scales[0].value
     wrong = not 1.0 / _SKIDS < size < _WRONG
