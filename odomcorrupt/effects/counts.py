@@ -233,7 +233,7 @@ class TruncatedCounts(Effect):
         drive="the same straight, and turns on the spot, very slowly and fast",
     )
 
-    step: float = parameter("m/s", "rim speed of one tick per reading", low=0.0, high=60.0, typical=0.02)
+    step: float = parameter("m/s", "rim speed of one tick per reading", low=0.0, high=0.5, typical=0.02)
     track: float = track_parameter()
 
     @classmethod

@@ -714,8 +714,8 @@ def _wheel_gains(look: Look) -> Figures | None:
     mean = np.diag(np.diag(scaled))
     if look.sideways and np.abs(scaled @ scaled - np.eye(3)).max() < 0.2 < np.abs(scaled - mean).max():
         back = np.asarray(np.linalg.inv(matrix))
-        return {"each": "exchanged", "explained": f"{explained:.1%}", "change": "exchange them, or negate its counts",
-                "cause": "two wheels exchanged, or one of 3 reversed", "undo": _by(back), "then": _UNDONE}  # fmt: skip
+        return {"each": "exchanged", "explained": f"{explained:.1%}", "undo": _by(back), "then": _UNDONE,
+                "cause": "two wheels are exchanged, or one is reversed", "change": "swap or negate them"}  # fmt: skip
     gains = np.trace(mean) / len(axes) + np.einsum("ij,jk,ik->i", rolls, scaled - mean, rolls) / 2.0
     most = float(np.abs(gains).max())
     off = np.abs(rolls.T @ (gains[:, None] * rolls) / len(rolls) - scaled).max()
@@ -1035,8 +1035,9 @@ def _turns_too_far(look: Look) -> Figures | None:
     usual = float(np.percentile(np.abs(there[:, 2]), 95.0)) * path.span_s / len(path) / look.window_s
     if not most > _LOST > 10.0 * usual:
         return None
-    # chords of a path that turns so fast are short, the path itself is not
-    far = float(distance_along(path.xyz[:, :2])[-1]) / path.span_s / max(look.speeds_mps[1], 1e-9)
+    # between messages a robot that turns so fast drives an arc
+    arcs_m = np.diff(distance_along(path.xyz[:, :2])) / np.sinc(wrap(np.diff(path.yaw_rad)) / (2.0 * np.pi))
+    far = float(arcs_m.sum()) / path.span_s / max(look.speeds_mps[1], 1e-9)
     causes = ["wheel separation in other units (centimetres, millimetres)", "degrees for radians"]
     if look.paths[1].headed and look.turns_by(0, _DEGREE) > look.turns_by(0, UNITS["centimetres"]):
         causes.reverse()
@@ -1113,7 +1114,7 @@ _KEPT = "the model has the factor, and is of this odometry as it is"
 # fmt: off
 PATTERNS = (
     Pattern("stamps", "{note}", "stamps in whole seconds, or one for all poses of a loop; a column of another unit",
-            "stamp each pose when it is measured, in seconds and nanoseconds; name a column t_ms or t_us", "taken so",
+            "stamp each pose when measured, in seconds and nanoseconds; name a column t_ms or t_us", "they are used",
             lambda look, i: next(({"i": i, "note": one, "undo": lambda path: path} for one in look.paths[i].notes
                                   if one.endswith(REPEATED) or (READ_AS in one and READ_AS not in
                                                                 "".join(look.paths[1 - i].notes))), None), alone=True),

@@ -129,7 +129,7 @@ def test_one_of_four_wheels_that_counts_the_wrong_way_and_two_that_are_exchanged
     counts = (rows @ rolls.T)[:, [1, 0, 2, 3] if wheel == 4 else range(4)] * np.where(np.arange(4) == wheel, -1.0, 1.0)
     found = look_at(trajectory(counts @ np.linalg.pinv(rolls).T), real(rows), "wheel gains")
     name = ("front left", "front right", "rear left", "rear right", "")[wheel]
-    assert (f"the {name} wheel counts the wrong way" if name else "wheels exchanged") in found.mistakes[0].causes
+    assert (f"the {name} wheel counts the wrong way" if name else "wheels are exchanged") in found.mistakes[0].causes
     back = increments(found.odometry.trajectory().xyt).rows
     assert np.allclose([np.corrcoef(back[:, k], rows[:, k])[0, 1] for k in range(3)], 1.0, atol=0.01)
 
@@ -139,7 +139,7 @@ def test_one_of_four_wheels_that_counts_the_wrong_way_and_two_that_are_exchanged
     ("wrong", "said"),
     [
         (lambda rows: trajectory(rows * [1.0, 1.0, 100.0], every=4), "are lost; usual causes: wheel separation in"),
-        (lambda rows: trajectory(rows * 100.0, every=4), "are lost; usual causes: wheel radius .* about [89]. times"),
+        (lambda rows: trajectory(rows * 100.0, every=4), "are lost; usual causes: wheel radius .* about 9. times"),
         (lambda rows: replace(trajectory(rows), yaw_rad=np.zeros(len(rows) + 1)), "they never change"),
         (lambda rows: trajectory(rows * [1.0, 1.0, 0.0]), "never turns, .* does"),
         (lambda rows: trajectory(np.roll(rows, len(rows) // 2, axis=0) * [0, 0, 1] + 2.2 * rows * [1, 1, 0]), "follow"),

@@ -56,7 +56,7 @@ def functions_of_motion(motions: Sequence[Motion], *, sideways: bool = False) ->
         if regressor == _SIDEWAYS and not sideways:
             continue
         yield BasisFunction(regressor, f"k * {text}", (value,), reaches=_reaches(regressor, "one"))
-        if regressor not in ("distance", "time"):  # the former is nearly the same as the latter, see `time`
+        if regressor not in ("distance", "time"):  # nearly the same; steps over time are in `time`
             yield from thresholds(regressor, motions)
         if regressor in _HINGED:
             yield from _hinges(regressor, motions)
