@@ -18,7 +18,7 @@ from odomcorrupt.simulation import simulate, simulate_without
 from odomcorrupt.simulation.faults import SIZES
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.regressors import driving_motion
+from odomcorrupt.study.estimate.regressors import MotionSmoother
 from odomcorrupt.study.estimate.robust_errors import between_blocks, inflation, shared_variance, with_robust_errors
 from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.terms.basis import basis_functions
@@ -53,7 +53,7 @@ def test_a_wheel_that_scrubs_in_turns_to_one_side_is_found_as_such():
 
 @pytest.mark.slow
 def test_every_basis_function_says_in_its_expression_what_it_computes():
-    motion = driving_motion(as_recording(simulate(73, None, duration_s=40.0)), "odometry")
+    motion = MotionSmoother([as_recording(simulate(73, None, duration_s=40.0))], "odometry").recorded
     seen, checked = views(motion), set()
     for function in basis_functions([motion])[::6]:
         values = (0.3, -0.2)[: len(function.parts)]
@@ -208,7 +208,7 @@ def toward(motion, theta):
 
 
 def test_a_wave_on_driven_headings_is_the_wave_there_and_zero_elsewhere():
-    motion = driving_motion(as_recording(simulate(73, None, duration_s=60.0)), "odometry")
+    motion = MotionSmoother([as_recording(simulate(73, None, duration_s=60.0))], "odometry").recorded
     two = np.concatenate((np.linspace(167.0, 182.0, 50), np.linspace(11.0, 19.0, 50)))  # one of them across 180 degrees
     line = toward(motion, np.radians(two))
     for function in (f for f in basis_functions([motion]) if f.regressor == "heading"):

@@ -14,7 +14,7 @@ from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.drive_type import drive_type_of, readings_of
-from odomcorrupt.study.estimate.regressors import driving_motion
+from odomcorrupt.study.estimate.regressors import MotionSmoother
 from odomcorrupt.study.io import Source
 from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.terms.library import library_families
@@ -166,7 +166,7 @@ def test_a_flat_side_of_one_wheel_has_its_name_and_circumference():
 
 
 def names_of(run):
-    motion = driving_motion(run, "odometry")
+    motion = MotionSmoother([run], "odometry").recorded
     return {family[0].name for family in library_families([run], [motion], ())}
 
 
@@ -184,7 +184,7 @@ def test_a_car_has_no_second_wheel_and_no_gyro_and_a_robot_with_two_wheels_no_st
 def test_a_track_that_is_given_leaves_no_other_to_be_tried():
     run = hobby(1, as_commanded, seconds=60.0)
     for known, track_m in ((False, None), (True, HOBBY_TRACK_M)):
-        motion = driving_motion(replace(run, track_m=track_m), "odometry")
+        motion = MotionSmoother([replace(run, track_m=track_m)], "odometry").recorded
         families = {f[0].name: f for f in library_families([replace(run, track_m=track_m)], [motion], ())}
         assert {term.start.track == 0.0 for term in families["backlash"]} == {known}
         assert families["backlash"][0].charged == (1 if known else 2)

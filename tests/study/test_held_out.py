@@ -26,7 +26,7 @@ from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.outliers import heavy_tails
 from odomcorrupt.study.estimate.problem import pose_problem, undo
 from odomcorrupt.study.estimate.random_process import part_name
-from odomcorrupt.study.estimate.regressors import driving_motion
+from odomcorrupt.study.estimate.regressors import MotionSmoother
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.confidence import confidence, support_of
@@ -236,7 +236,7 @@ def test_the_contribution_of_a_slope_is_measured_where_it_was_learned(on_slope, 
 
 def test_functions_of_places_and_headings_are_not_tried_on_several_maps(one_slope, other_slope):
     def tried(runs):
-        motions = [driving_motion(run, "truth") for run in runs]
+        motions = [MotionSmoother([run], "truth").recorded for run in runs]
         families = library_families(runs, motions, ())
         placed = shared_frame(runs) is not None
         reach = {f.regressor for f in basis_functions(motions, placed=placed)} | {

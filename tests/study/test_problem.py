@@ -18,7 +18,7 @@ from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, 
 from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.intervals import Intervals
 from odomcorrupt.study.estimate.problem import pose_problem
-from odomcorrupt.study.estimate.regressors import choose_side, driving_motion
+from odomcorrupt.study.estimate.regressors import MotionSmoother, choose_side
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.io.headings import with_headings
 from odomcorrupt.study.io.recording import Recording
@@ -84,7 +84,7 @@ def test_stretches_of_a_run_share_its_motion_and_pose_the_problem_that_each_pose
 
 def test_a_wheel_rolls_as_far_as_the_odometry_reports_also_if_speeds_are_the_truths(one_run):
     wheels = replace(one_run, track_m=0.4)
-    sides = {side: driving_motion(wheels, side) for side in ("odometry", "truth")}
+    sides = {side: MotionSmoother([wheels], side).recorded for side in ("odometry", "truth")}
     steps = increments(one_run.odometry.xyt)
     for arm_m in (0.2, -0.2):
         assert np.allclose(sides["truth"].rolled(arm_m)[1:], np.cumsum(steps.ds_m + arm_m * steps.dtheta_rad))

@@ -115,14 +115,20 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach, beside: Seq
     """
     recordings = [recording.multiplied(*recording.gains) for recording in recordings]
     leaders = clock_leaders(recordings)
-    together = {i: [r for r, leader in zip(recordings, leaders, strict=True) if leader == i] for i in set(leaders)}
-    found = {i: _clock_or_reason(runs, approach, beside) for i, runs in together.items()}
-    known = [own for own in found.values() if isinstance(own, _Found)]
-    if not known:
-        raise next(own for own in found.values() if isinstance(own, FitError | RecordingError))
-    longest = max(known, key=lambda own: len(own.fit.problem.intervals))
-    common = replace(longest, clock=_common_clock(known), free=(False, False), errors=(0.0, 0.0))
-    each = [own if isinstance(own := found[leader], _Found) else common for leader in leaders]
+    found: dict[int, _Found] = {}
+    refused: list[FitError | RecordingError] = []
+    for leader in set(leaders):
+        runs = [r for r, own in zip(recordings, leaders, strict=True) if own == leader]
+        try:
+            found[leader] = _find_clock(runs, approach, beside)
+        except (FitError, RecordingError) as why:  # on straight lines at one speed the likelihood has no maximum
+            refused.append(why)
+    if not found:
+        raise refused[0]
+    longest = max(found.values(), key=lambda own: len(own.fit.problem.intervals))
+    clock = _common_clock([*found.values()])
+    common = replace(longest, clock=clock, free=(False, False), errors=(0.0, 0.0))
+    each = [found.get(leader, common) for leader in leaders]
     errors = with_rounding([f.errors for f in each], [f.free for f in each], recordings)
     offsets = [
         (f.clock.offset_s, own[0]) if f.free[0] or f is common else f.unused_s
@@ -138,16 +144,6 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach, beside: Seq
         ranges_s=tuple((offset_s - _RANGE * error_s, offset_s + _RANGE * error_s) for offset_s, error_s in offsets),
         held=tuple(r.name for r, own in zip(recordings, each, strict=True) if own is common),
     )
-
-
-def _clock_or_reason(
-    runs: Sequence[Recording], approach: Approach, beside: Sequence[Effect]
-) -> _Found | FitError | RecordingError:
-    """Return the clock of some runs, or why there is none: on straight lines at one speed it has no maximum."""
-    try:
-        return _find_clock(runs, approach, beside)
-    except (FitError, RecordingError) as why:
-        return why
 
 
 def _common_clock(found: Sequence[_Found]) -> Clock:

@@ -20,12 +20,10 @@ from odomcorrupt.study.estimate.noise_likelihood import VarianceComponents, pseu
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, fit_noise_beside, with_random
 from odomcorrupt.study.estimate.truth_bias import SHARED, bias_roots, bias_steps, has_bias
-from odomcorrupt.study.io.clock import Clock, clock_leaders, led
+from odomcorrupt.study.io.clock import Clock, as_rows, clock_leaders, led
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
@@ -220,8 +218,10 @@ def fit_problem(
         start, weighted = noise.free, problem
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
         whole = noise.theta if held is None else _held_step(noise, begun, effects, held)
-        effects, clocks = moved(effects, whole), _moved_clocks(clocks, own_free, whole)
-        clocks = tuple(clocks[leader] for leader in leaders)
+        effects, change = moved(effects, whole), np.zeros(free.shape)
+        change[own_free] = whole[len(whole) - int(own_free.sum()) :]
+        rows = (as_rows(clocks) + change).tolist()
+        clocks = tuple(Clock(*rows[leader]) for leader in leaders)
         step = _made(problem.effects, effects, whole)
         if not np.any(np.abs(step) > (_NEAR if nearly else _SMALL) * errors):
             break
@@ -315,11 +315,3 @@ def moved(effects: Sequence[Effect], theta: Array) -> tuple[Effect, ...]:
         }
         after.append(dataclasses.replace(effect, **values))  # type: ignore[type-var]
     return tuple(after)
-
-
-def _moved_clocks(clocks: Sequence[Clock], free: NDArray[np.bool_], theta: Array) -> tuple[Clock, ...]:
-    """Return the clocks after a step, whose last values are those of their free offsets and rates."""
-    change = np.zeros(free.shape)
-    change[free] = theta[len(theta) - int(free.sum()) :]
-    steps = zip(clocks, change, strict=True)
-    return tuple(Clock(c.offset_s + float(offset), c.rate + float(rate)) for c, (offset, rate) in steps)

@@ -278,7 +278,9 @@ class NoiseLikelihood:
         """
         factor, whole = done.whitener.factor, self._covariance(done.free)
         pull = band_solve(factor, done.innovations[:, None], transposed=True)[:, 0]
-        changes = self._share_slopes(done.free)[movable] @ self._bands
+        coefficients, truth = self._unpack(done.free)
+        slopes = block_diag(self._components.share_slopes(coefficients), 2.0 * np.diag(truth_weights(truth)))
+        changes = slopes[movable] @ self._bands
         growth, pushes = np.empty(len(movable)), np.empty((len(pull), len(movable)), order="F")
         for i, change in enumerate(changes):
             band = change.reshape(whole.shape[::-1]).T
@@ -326,11 +328,6 @@ class NoiseLikelihood:
         coefficients, truth = self._unpack(free)
         shares = np.concatenate((self._components.shares(coefficients), truth_weights(truth)))
         return (shares @ self._bands).reshape(self._floor.shape[::-1]).T + self._floor
-
-    def _share_slopes(self, free: Array) -> Array:
-        """Return the derivatives (m, bands) of every band's weight by every parameter."""
-        coefficients, truth = self._unpack(free)
-        return np.asarray(block_diag(self._components.share_slopes(coefficients), 2.0 * np.diag(truth_weights(truth))))
 
     def _unpack(self, free: Array) -> tuple[Array, TruthNoise]:
         """Return coefficients (8,) and truth noise; a coefficient at its lower bound is exactly zero."""

@@ -71,7 +71,7 @@ class Knots:
     @property
     def mixing(self) -> Array:
         """Root M (k, k) of the prior covariance, for independent standard normal factors."""
-        return _root(self.precision)
+        return prior_root(self.precision)
 
     @property
     def columns(self) -> Array:
@@ -277,10 +277,10 @@ def unit_knots(problem: Problem, process: Process, parts: float = _COARSELY) -> 
     weights = np.concatenate((unit * np.repeat(1.0 - part, 3), unit * np.repeat(part, 3)))
     where = np.tile(rows, 2), np.concatenate((left, left + 1))
     spread = csr_array((weights, where), shape=(len(rows), len(knots)))
-    return Knots(spread, _precision(process, np.diff(knots)), knots)
+    return Knots(spread, precision_of(process, np.diff(knots)), knots)
 
 
-def _precision(process: Process, gaps_s: Array) -> csr_array:
+def precision_of(process: Process, gaps_s: Array) -> csr_array:
     """Return the precision (k, k) of a process at scale 1 at knots with given gaps (k - 1,), s.
 
     Each value is a multiple of the previous one, plus an independent change. A random walk restarts after long breaks.
@@ -295,10 +295,6 @@ def _precision(process: Process, gaps_s: Array) -> csr_array:
     return csr_array(changes.T @ changes)
 
 
-def prior_root(process: Process, gaps_s: Array) -> Array:
-    """Return a root (k, k) of the prior covariance of a process at scale 1 at knots with given gaps (k - 1,), s."""
-    return _root(_precision(process, gaps_s))
-
-
-def _root(precision: csr_array) -> Array:
+def prior_root(precision: csr_array) -> Array:
+    """Return a root (k, k) of the prior covariance of a process from its precision."""
     return band_solve(band_factor(sparse_band(precision)), np.eye(precision.shape[0]), transposed=True)

@@ -252,11 +252,6 @@ def _middle(t_s: Array) -> Array:
     return (t_s[:-1] + t_s[1:]) / 2.0
 
 
-def driving_motion(recording: Recording, side: Side) -> Motion:
-    """Return the motion over the odometry's intervals, with speeds from local slopes of the poses of one side."""
-    return MotionSmoother([recording], side).recorded
-
-
 def truth_noise(truth: Trajectory) -> Array:
     """Return the standard deviation (3,) of the truth's white noise, m and rad, from its second differences."""
     rough = np.diff(np.nan_to_num(truth.xyt), n=2, axis=0)

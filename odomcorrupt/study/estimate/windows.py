@@ -31,7 +31,6 @@ from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.model.noise_laws import variances
 from odomcorrupt.study.estimate.intervals import cut_at, intervals_between, join, pick_interval_ends
 from odomcorrupt.study.estimate.truth_bias import turn_errors
-from odomcorrupt.study.estimate.whitener import FLOOR, interval_covariance
 from odomcorrupt.study.io.headings import alignment, with_recomputed_headings
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array, Increments
-    from odomcorrupt.model.motion_model import Noise, TruthNoise
+    from odomcorrupt.model.motion_model import TruthNoise
     from odomcorrupt.model.noise_laws import Coefficients, Law, Variances
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.intervals import Intervals
@@ -214,30 +213,6 @@ class WindowErrors:
         z = self.error / sigma
         score = sigma * (z * (2.0 * norm.cdf(z) - 1.0) + 2.0 * norm.pdf(z) - 1.0 / np.sqrt(np.pi))
         return np.mean(score, axis=0)
-
-
-def window_errors(
-    windows: Intervals,
-    noise: Noise,
-    truth: TruthNoise,
-    steps: Increments,
-    *,
-    headed: bool = True,
-    positions: PositionWindows | None = None,
-) -> WindowErrors:
-    """Return errors and predicted covariances of windows.
-
-    steps : increments of the odometry, from which the noise law computes variances
-    headed : whether the truth has measured headings; without, yaw is left out: its headings come from the odometry
-    positions : for a truth of positions only, the windows with the headings estimated at their starts
-    """
-    count = 3 if headed else 2
-    if positions is not None:
-        total = positions.covariance(noise.law, noise.coefficients, steps) + positions.of_truth(truth)
-        total[:, [0, 1, 2], [0, 1, 2]] += FLOOR
-    else:
-        total = interval_covariance(windows, windows.covariance(noise.law, noise.coefficients, steps), truth)
-    return WindowErrors(windows.residual[:, :count], total[:, :count, :count])
 
 
 class _Window(NamedTuple):

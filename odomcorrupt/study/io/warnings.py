@@ -39,15 +39,18 @@ def check_identity(odometry: Samples, truth: Samples) -> list[str]:
     RecordingError
         If the truth is a copy of the odometry, or of its travel.
     """
-    step, own = _steps(odometry, truth)
+    inside, origin = truth.within(odometry), int(odometry.stamps_ns[0])
+    path = odometry.trajectory().at(truth.seconds_since(origin)[inside], origin)
+    real = truth.trajectory().xyt[inside]
+    step, own = between(real[:-1], real[1:]), between(path[:-1], path[1:])
+    step[:, 2], own[:, 2] = wrap(step[:, 2]), wrap(own[:, 2])
     if not truth.headed:
-        step, own = (np.linalg.norm(np.diff(x[:, :2], axis=0), axis=1)[:, None] for x in _common(odometry, truth))
+        step, own = (np.linalg.norm(np.diff(x[:, :2], axis=0), axis=1)[:, None] for x in (real, path))
     moving = np.abs(own).max(axis=1) > _MOVES
     if moving.sum() < _MIN_STEPS:
         return []
     same = np.abs(step - own).max(axis=1)[moving] < (_SAME if truth.headed else 3.0 * _SAME)
     share = float(same.mean())
-    real, path = _common(odometry, truth)
     apart = between(real[:1], real) - between(path[:1], path)
     apart[:, 2] = wrap(apart[:, 2])
     within = float(np.abs(apart).max()) < _SAME_M
@@ -220,19 +223,3 @@ def _jumps_to_truth(odometry: Samples, truth: Samples) -> int:
         return 0
     closer = error[at + 1] < error[at]
     return len(at) if closer.mean() > 0.8 else 0
-
-
-def _steps(odometry: Samples, truth: Samples) -> tuple[Array, Array]:
-    """Return the steps (k, 3) of the truth between its samples, and of the odometry between the same times."""
-    real, path = _common(odometry, truth)
-    step, own = between(real[:-1], real[1:]), between(path[:-1], path[1:])
-    step[:, 2], own[:, 2] = wrap(step[:, 2]), wrap(own[:, 2])
-    return step, own
-
-
-def _common(odometry: Samples, truth: Samples) -> tuple[Array, Array]:
-    """Return the poses (k, 3) of truth and odometry at the truth's stamps."""
-    path, real = odometry.trajectory(), truth.trajectory()
-    inside = truth.within(odometry)
-    origin = int(odometry.stamps_ns[0])
-    return real.xyt[inside], path.at(real.seconds_since(origin)[inside], origin)

@@ -187,12 +187,6 @@ def _matched(fit: Fit) -> bool:
     return any(r.matched or r.localised for r in fit.problem.recordings)
 
 
-def gain_in_refit(one: DetectedRandomEffect, without: Fit, with_it: Fit) -> float:
-    """Return the gain of a random coefficient, nats: that of the test or that of the refit, whichever is larger."""
-    refitted = with_it.log_likelihood - without.log_likelihood - float(np.log(len(without.problem.intervals)))
-    return max(one.nats, refitted)
-
-
 def remeasured(fit: Fit, effect: Effect) -> tuple[Effect, float]:
     """Return a random coefficient of a fit with its parameters re-estimated beside the noise, and what that gains."""
     evidence = _Evidence(_beside(fit, effect))

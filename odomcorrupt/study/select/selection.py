@@ -44,7 +44,6 @@ from odomcorrupt.study.select.heterogeneity import disagreements
 from odomcorrupt.study.select.random_effects import (
     DetectedRandomEffect,
     eliminate_random,
-    gain_in_refit,
     iterate,
     outlier_effects,
     random_coefficients,
@@ -155,11 +154,6 @@ class _Selection:
     def __post_init__(self) -> None:
         self.dictionary = Dictionary(self.decisions, len(set(clock_leaders(self.fit.problem.recordings))) > 1)
 
-    @property
-    def selected(self) -> list[Effect]:
-        """Effects of the model that were not given."""
-        return [effect for effect in self.fit.effects if effect.name not in self.given]
-
     def run(self) -> None:
         """Select terms and random processes in turn until neither changes."""
         self._select()
@@ -207,7 +201,7 @@ class _Selection:
             return
         self.at = self.fit
         self.dictionary.extend(self.fit)
-        present = self.selected
+        present = [effect for effect in self.fit.effects if effect.name not in self.given]
         own = [self.terms[e.name] for e in present]
         terms = self.dictionary.beside(own)
         self.competing, self.evidence = linearised(self.fit, present, terms, self.clocks, self.dictionary)
@@ -387,8 +381,9 @@ class _Selection:
         recurs = self.dictionary.recurring and self._is_worse(larger, before)  # it takes part of what recurs
         if recurs or larger.log_likelihood <= before.log_likelihood:  # it diverged
             return False
-        self.fit, nats = larger, gain_in_refit(found[0], before, larger)
-        self.noise.append(DetectedRandomEffect(effect, nats))
+        self.fit = larger
+        refitted = larger.log_likelihood - before.log_likelihood - float(np.log(len(before.problem.intervals)))
+        self.noise.append(DetectedRandomEffect(effect, max(found[0].nats, refitted)))
         return True
 
     def result(self, clocks: Clocks) -> Learned:

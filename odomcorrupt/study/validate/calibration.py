@@ -63,7 +63,7 @@ def uncertainty_of(
     """Return the model's uncertainty on these windows; a model without standard errors counts as exact.
 
     inflate : factor on the standard errors, for a model refitted on fewer data
-    positions : as in `window_errors`
+    positions : as in `Evaluation.errors_of`
     """
     count = errors.error.shape[1]
     k, law = model.noise.coefficients, model.noise.law

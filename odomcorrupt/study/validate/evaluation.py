@@ -13,10 +13,16 @@ from odomcorrupt.errors import FitError
 from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.study.estimate.noise_likelihood import outliers
 from odomcorrupt.study.estimate.problem import Problem, pose_problem
-from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, prior_root, processes_like, widened
+from odomcorrupt.study.estimate.random_process import (
+    CORRELATED_NOISE,
+    precision_of,
+    prior_root,
+    processes_like,
+    widened,
+)
 from odomcorrupt.study.estimate.regressors import truth_noise
 from odomcorrupt.study.estimate.whitener import FLOOR, Whitener, interval_covariance, whitener
-from odomcorrupt.study.estimate.windows import WindowErrors, distance_windows, position_windows, window_errors
+from odomcorrupt.study.estimate.windows import WindowErrors, distance_windows, position_windows
 from odomcorrupt.study.io.headings import UNKNOWN_RAD
 from odomcorrupt.study.validate.calibration import Horizon, ParameterUncertainty, horizon_of, uncertainty_of
 
@@ -55,8 +61,8 @@ def process_roots(random: Sequence[Effect], windows: Intervals, motion: Motion) 
         change = process.unit(motion) * motion.dt_s[:, None]
         weights = np.maximum(1.0 - np.abs(motion.t_s - knots_s[:, None]) / step_s, 0.0)
         columns = [windows.column(change * weight[:, None]) for weight in weights]
-        scale = getattr(effect, process.scale)
-        roots.append(np.stack(columns, axis=2) @ (scale * prior_root(process, np.diff(knots_s))))
+        root = prior_root(precision_of(process, np.diff(knots_s)))
+        roots.append(np.stack(columns, axis=2) @ (getattr(effect, process.scale) * root))
     return np.concatenate(roots, axis=2) if roots else None
 
 
@@ -172,11 +178,22 @@ class Evaluation:
         return errors, spread
 
     def errors_of(self, windows: Intervals, positions: PositionWindows | None = None) -> WindowErrors:
-        """Return the errors of windows of `left` with their covariance from the noise of odometry and truth."""
+        """Return the errors of windows of `left` with their covariance from the noise of odometry and truth.
+
+        A truth without headings leaves yaw out: its headings come from the odometry.
+
+        positions : for a truth of positions only, the windows with the headings estimated at their starts
+        """
         if positions is None and not self.headed:
             positions = position_windows(self.left, windows)
-        noise, steps = self.model.noise, self.problem.steps
-        return window_errors(windows, noise, self.truth, steps, headed=self.headed, positions=positions)
+        law, k, steps = self.model.noise.law, self.model.noise.coefficients, self.problem.steps
+        if positions is not None:
+            total = positions.covariance(law, k, steps) + positions.of_truth(self.truth)
+            total[:, [0, 1, 2], [0, 1, 2]] += FLOOR
+        else:
+            total = interval_covariance(windows, windows.covariance(law, k, steps), self.truth)
+        count = 3 if self.headed else 2
+        return WindowErrors(windows.residual[:, :count], total[:, :count, :count])
 
 
 def evaluate_stretch(

@@ -24,7 +24,7 @@ from odomcorrupt.geometry.trajectory import Trajectory, distance_along
 from odomcorrupt.rng import stream
 from odomcorrupt.study.estimate.outliers import events
 from odomcorrupt.study.estimate.problem import undo
-from odomcorrupt.study.estimate.regressors import driving_motion
+from odomcorrupt.study.estimate.regressors import MotionSmoother
 from odomcorrupt.study.estimate.windows import WINDOW_S, phased_misses
 from odomcorrupt.study.io.clock import aligned
 from odomcorrupt.study.io.headings import with_recomputed_headings
@@ -118,7 +118,7 @@ def overlapping(recording: Recording) -> Recording:
 def smooth_truth(recording: Recording) -> tuple[Array, Array]:
     """Return the truth at the odometry's stamps, smoothed (n, 3) and as measured (n, 3)."""
     truth = recording.truth.at(recording.odometry_s, recording.origin_ns)
-    m = driving_motion(recording, "truth")
+    m = MotionSmoother([recording], "truth").recorded
     steps = m.twist * m.dt_s[:, None]
     if np.abs(steps[:, 1]).sum() < 0.1 * np.abs(steps[:, 0]).sum():
         steps[:, 1] = 0.0

@@ -8,7 +8,6 @@ that a rotation can absorb: read these values together with errors that start at
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +17,7 @@ from odomcorrupt.study.estimate.windows import distance_windows, joint_rmse, pha
 from odomcorrupt.study.io.clock import Clock, aligned
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -124,14 +123,13 @@ class ClockGain:
 
 def clock_gain(recordings: Sequence[Recording], clocks: Sequence[Clock]) -> ClockGain:
     """Return the drift without and with clock correction, over windows that start at the truth."""
-    sides = [aligned(r, Clock()) for r in recordings], [aligned(r, c) for r, c in zip(recordings, clocks, strict=True)]
 
-    def both(error_of: Callable[[list[Recording]], float]) -> tuple[float, float]:
-        before, after = map(error_of, sides)
-        return before, after
+    def errors(runs: list[Recording]) -> list[float]:
+        return [
+            *(joint_rmse(distance_windows(r, length_m) for r in runs) for length_m in (10.0, 50.0)),
+            phased_rmse(runs),
+        ]
 
-    return ClockGain(both(partial(_after_path, 10.0)), both(partial(_after_path, 50.0)), both(phased_rmse))
-
-
-def _after_path(length_m: float, recordings: list[Recording]) -> float:
-    return joint_rmse(distance_windows(recording, length_m) for recording in recordings)
+    before = errors([aligned(r, Clock()) for r in recordings])
+    after = errors([aligned(r, c) for r, c in zip(recordings, clocks, strict=True)])
+    return ClockGain(*zip(before, after, strict=True))
