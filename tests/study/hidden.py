@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from odomcorrupt.geometry.trajectory import Trajectory
-from odomcorrupt.study.estimate.intervals import join
 from odomcorrupt.study.estimate.problem import undo
-from odomcorrupt.study.estimate.windows import rmse, time_windows
+from odomcorrupt.study.estimate.windows import joint_rmse, time_windows
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.recording import Recording
 from odomcorrupt.study.select.candidates import score_terms, tested_candidates
@@ -42,7 +41,7 @@ def scanned(recording: Recording) -> Recording:
 def ten_second_error(runs, effects=(), clock: Clock = Clock()) -> float:  # noqa: B008 - a frozen value
     """RMS position error at the end of non-overlapping 10 s windows, each started at the truth pose, in metres."""
     parts = [time_windows(undo(aligned(run, clock), effects)) for run in runs]
-    return rmse(join(parts, [0] * len(parts)))
+    return joint_rmse(parts)
 
 
 def library_candidates(fitted):

@@ -140,8 +140,6 @@ def fit_noise_beside(
 
 def without_process(noise: NoiseFit, problem: Problem, columns: Array, random: Sequence[Effect]) -> Intervals:
     """Return the intervals with a posterior draw of the random coefficients subtracted; the step noise is left."""
-    if not random:
-        return problem.intervals
     knots = joined([knots_of(effect, problem) for effect in random])
     drawn = _drawn(noise, problem, columns, knots, _normals(knots)[0])
     return replace(problem.intervals, residual=problem.intervals.residual - drawn)

@@ -29,7 +29,7 @@ from scipy.stats import norm
 from odomcorrupt.geometry.se2 import between, rotate
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.model.noise_laws import variances
-from odomcorrupt.study.estimate.intervals import cut_at, intervals_between, join, pick_interval_ends
+from odomcorrupt.study.estimate.intervals import cut_at, intervals_between, pick_interval_ends
 from odomcorrupt.study.estimate.truth_bias import turn_errors
 from odomcorrupt.study.io.headings import alignment, with_recomputed_headings
 
@@ -113,16 +113,10 @@ def distance_windows(recording: Recording, length_m: float, phase: float = 0.0) 
     return intervals_between(recording, picked)
 
 
-def rmse(windows: Intervals) -> float:
-    """Return the root mean square position error (m) at the ends of windows started at the truth pose; NaN if none."""
-    miss = windows.odometry_step[:, :2] - windows.truth_step[:, :2]
-    return float(np.sqrt(np.mean(np.sum(miss**2, axis=1)))) if len(miss) else float("nan")
-
-
 def joint_rmse(windows: Iterable[Intervals]) -> float:
-    """Return the `rmse` over the windows of several recordings together; NaN if there is no window."""
-    whole = [w for w in windows if len(w)]
-    return rmse(join(whole, [0] * len(whole))) if whole else float("nan")
+    """Return the root mean square position error (m) at the ends of several recordings' windows; NaN if none."""
+    misses = [w.odometry_step[:, :2] - w.truth_step[:, :2] for w in windows if len(w)]
+    return float(np.sqrt(np.mean(np.sum(np.concatenate(misses) ** 2, axis=1)))) if misses else float("nan")
 
 
 def phased_misses(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> list[Array]:

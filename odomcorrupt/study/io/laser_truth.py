@@ -115,7 +115,13 @@ def match_run(odometry: Samples, sweeps: Sweeps, progress: Callable[[str, float]
         raise RecordingError(mistake.sentence)
     guide = calm.trajectory()
     origin_ns = int(guide.stamps_ns[0])
-    _check_overlap(sweeps, odometry)
+    first = max(int(sweeps.stamps_ns[0]), int(odometry.stamps_ns[0]))
+    last = min(int(sweeps.stamps_ns[-1]), int(odometry.stamps_ns[-1]))
+    if last - first < 10_000_000_000:
+        raise RecordingError(
+            f"{sweeps.place} and {odometry.name} share {max(last - first, 0) * 1e-9:.1f} s: one of their clocks is "
+            "simulated or unset; record both with one clock"
+        )
     calibration = without_moving(calibrate(sweeps, guide, origin_ns))
     sweeps = calibration.sweeps
     tracked = make_map(sweeps, calibration, _part(progress, "matching scans", 0.0, 0.8))
@@ -235,16 +241,6 @@ def _said(run: LaserRun) -> list[str]:
     if run.sweeps.period_s > 0.5:
         said.append(f"one sweep in {run.sweeps.period_s:.1f} s: what changes faster is not seen")
     return said
-
-
-def _check_overlap(sweeps: Sweeps, odometry: Samples) -> None:
-    first = max(int(sweeps.stamps_ns[0]), int(odometry.stamps_ns[0]))
-    last = min(int(sweeps.stamps_ns[-1]), int(odometry.stamps_ns[-1]))
-    if last - first < 10_000_000_000:
-        raise RecordingError(
-            f"{sweeps.place} and {odometry.name} share {max(last - first, 0) * 1e-9:.1f} s: one of their clocks is "
-            "simulated or unset; record both with one clock"
-        )
 
 
 def _check_travel(path: LaserPath, motion: Motion, place: str) -> None:

@@ -173,22 +173,18 @@ def _check_time(odometry: Samples, truth: Samples) -> None:
     units = ((_YEAR_S, "years"), (_DAY_S, "days"), (1.0, "s"))
     per_s, unit = next((one for one in units if apart_s > one[0]), units[-1])
     found = f"share {shared:.1f} s" if shared > 0.0 else "have no time in common"
+    reach_s = max(odometry.span_s, truth.span_s)
+    corr = cross_correlation(odometry.trajectory(), truth.trajectory(), reach_s, from_start=True)
+    best = int(np.argmax(corr.both))
+    start_s = float(odometry.stamps_ns[0] - truth.stamps_ns[0]) * 1e-9
+    way_out = f"if both began together, give --truth-shift {start_s:.1f}"
+    if corr.both[best] > _CLEAR:
+        way_out = f"the motions match with --truth-shift {start_s + corr.lag_s[best]:.1f}"
     clock = " (one clock is simulated, unset, or counts from its start)" if apart_s > _DAY_S else ""
     raise RecordingError(
         f"{odometry.place} and {truth.place} {found}: odometry is from {_span(odometry)}, truth from {_span(truth)}, "
-        f"their starts {apart_s / per_s:.1f} {unit} apart{clock}; {_shift(odometry, truth)}"
+        f"their starts {apart_s / per_s:.1f} {unit} apart{clock}; {way_out}"
     )
-
-
-def _shift(odometry: Samples, truth: Samples) -> str:
-    """Return the advice on --truth-shift: the shift that matches the motions, or the one that matches the starts."""
-    reach = max(odometry.span_s, truth.span_s)
-    corr = cross_correlation(odometry.trajectory(), truth.trajectory(), reach, from_start=True)
-    best = int(np.argmax(corr.both))
-    start_s = float(odometry.stamps_ns[0] - truth.stamps_ns[0]) * 1e-9
-    if corr.both[best] > _CLEAR:
-        return f"the motions match with --truth-shift {start_s + corr.lag_s[best]:.1f}"
-    return f"if both began together, give --truth-shift {start_s:.1f}"
 
 
 def _check_motion(here: Samples, there: Samples) -> None:

@@ -152,10 +152,15 @@ class Dictionary:
                 self.library.setdefault(one.start, one)
 
     def bounds_of(self, effect: Effect, fit: Fit) -> Array:
-        """Return the first-order bounds (p, 2) of the amplitudes of an effect."""
+        """Return the first-order estimates (p, 2) that correspond to the amplitudes of an effect at their bounds.
+
+        The error may be non-linear in a parameter. A robot whose track is a quarter of the nominal one turns four times
+        as far as its odometry: three times the reported turn is missing, so the first-order estimate is 3.
+        """
         if effect not in self.bounds:
-            own = [first_order_bounds(fit, effect, p) for p in amplitudes(effect)]
-            self.bounds[effect] = np.array(own).reshape(-1, 2)
+            rooms = [(p, bound - p.identity) for p in amplitudes(effect) for bound in (p.low, p.high)]
+            sizes = [max(_first_order(fit, effect, p, room), abs(room)) if room else 0.0 for p, room in rooms]
+            self.bounds[effect] = np.copysign(sizes, [room for _, room in rooms]).reshape(-1, 2)
         return self.bounds[effect]
 
     def beside(self, present: Sequence[LibraryTerm | BasisTerm]) -> list[LibraryTerm | BasisTerm]:
@@ -286,19 +291,6 @@ def _prior(term: Competing, fit: Fit, dictionary: Dictionary, unit: Array, alone
     low, high = dictionary.bounds_of(term.start, fit).T
     deviation = np.maximum(prior_deviations([term.start]), alone)
     return deviation**-2, low, high
-
-
-def first_order_bounds(fit: Fit, effect: Effect, p: Parameter) -> tuple[float, float]:
-    """Return the first-order estimates that correspond to a parameter at its bounds.
-
-    The error may be non-linear in the parameter. A robot whose track is a quarter of the nominal one turns four times
-    as far as its odometry: three times the reported turn is missing, so the first-order estimate is 3.
-    """
-
-    def room(bound: float) -> float:
-        return float(np.copysign(max(_first_order(fit, effect, p, bound), abs(bound)), bound)) if bound else 0.0
-
-    return room(p.low - p.identity), room(p.high - p.identity)
 
 
 def started(fit: Fit, effect: Effect, estimate: Sequence[float]) -> Effect:

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Motion
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.select.score import Projection
     from odomcorrupt.study.terms.basis import BasisFunction
@@ -147,7 +146,14 @@ class CoarseDesign:
 
     @cached_property
     def _thinned(self) -> Motion:
-        return _thinned(self._intervals, self._motions)
+        """`_SAMPLES` evenly spread increments of each of the K intervals, as one motion."""
+        intervals, first = self._intervals, self._motions[0]
+        last = np.append(intervals.first[1:], len(intervals.source)) - 1
+        steps = np.linspace(intervals.first, last, _SAMPLES).round().astype(np.int64).T.ravel()
+        chosen = intervals.source[steps]
+        names = [f.name for f in fields(first) if isinstance(getattr(first, f.name), np.ndarray)]
+        arrays: dict[str, Any] = {n: np.concatenate([getattr(m, n) for m in self._motions])[chosen] for n in names}
+        return replace(first, **arrays)
 
     @cached_property
     def _seen(self) -> dict[str, Motion]:
@@ -162,17 +168,6 @@ class CoarseDesign:
         """Changes (K, 3) of the residuals by a constant rate of one in each channel."""
         dt_s = np.concatenate([m.dt_s for m in self._motions])
         return [self._intervals.column(dt_s[:, None] * unit) for unit in np.eye(3)]
-
-
-def _thinned(intervals: Intervals, motions: Sequence[Motion]) -> Motion:
-    """Return `_SAMPLES` evenly spread increments of each of the K intervals, as one motion."""
-    last = np.append(intervals.first[1:], len(intervals.source)) - 1
-    steps = np.linspace(intervals.first, last, _SAMPLES).round().astype(np.int64).T.ravel()
-    chosen = intervals.source[steps]
-    first = motions[0]
-    names = [f.name for f in fields(first) if isinstance(getattr(first, f.name), np.ndarray)]
-    arrays: dict[str, Any] = {n: np.concatenate([getattr(m, n) for m in motions])[chosen] for n in names}
-    return replace(first, **arrays)
 
 
 def coarse_gains(fit: Fit, rest: Projection, columns: Array, counts: Sequence[int]) -> Array:

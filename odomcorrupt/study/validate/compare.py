@@ -331,30 +331,15 @@ def agreement_of(comparison: Comparison) -> Agreement:
     if isfinite(gain) and abs(gain) > _SIGMAS * (error if isfinite(error) else 0.0):
         likelihood = "better" if gain > 0.0 else "worse"
     found = [
-        Measure(
-            "10 s error",
-            first.ten_second_error_m,
-            last.ten_second_error_m,
-            _of_errors(first.ten_second_error_m, last.ten_second_error_m, _ERROR_SHARE),
-        ),
+        _of_errors("10 s error", first.ten_second_error_m, last.ten_second_error_m, _ERROR_SHARE),
         Measure("log likelihood", first.nats.per_m, last.nats.per_m, likelihood),
-        Measure(
-            "ATE",
-            first.trajectory.ate_m,
-            last.trajectory.ate_m,
-            _of_errors(first.trajectory.ate_m, last.trajectory.ate_m, _TRAJECTORY_SHARE),
-        ),
+        _of_errors("ATE", first.trajectory.ate_m, last.trajectory.ate_m, _TRAJECTORY_SHARE),
     ]
     measures = tuple(one for one in found if isfinite(one.before) and isfinite(one.after))
     changes = {one.change for one in measures} - {"same"}
-    if changes == {"better", "worse"}:
-        return Agreement(measures, "mixed")
-    if not changes:
-        return Agreement(measures, "same")
-    return Agreement(measures, "better" if "better" in changes else "worse")
+    return Agreement(measures, "mixed" if len(changes) > 1 else next(iter(changes), "same"))
 
 
-def _of_errors(before: float, after: float, share: float) -> Change:
-    if after < (1.0 - share) * before:
-        return "better"
-    return "worse" if after > (1.0 + share) * before else "same"
+def _of_errors(name: str, before: float, after: float, share: float) -> Measure:
+    worse = after > (1.0 + share) * before
+    return Measure(name, before, after, "better" if after < (1.0 - share) * before else "worse" if worse else "same")

@@ -125,10 +125,8 @@ def clock_gain(recordings: Sequence[Recording], clocks: Sequence[Clock]) -> Cloc
     """Return the drift without and with clock correction, over windows that start at the truth."""
 
     def errors(runs: list[Recording]) -> list[float]:
-        return [
-            *(joint_rmse(distance_windows(r, length_m) for r in runs) for length_m in (10.0, 50.0)),
-            phased_rmse(runs),
-        ]
+        after_path = [joint_rmse(distance_windows(run, length_m) for run in runs) for length_m in (10.0, 50.0)]
+        return [*after_path, phased_rmse(runs)]
 
     before = errors([aligned(r, Clock()) for r in recordings])
     after = errors([aligned(r, c) for r, c in zip(recordings, clocks, strict=True)])

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from odomcorrupt.study.terms.basis.basis_function import COEFFICIENTS, BasisFunction
-from odomcorrupt.study.terms.basis.heading import functions_of_heading
+from odomcorrupt.study.terms.basis.heading import wave_of_heading
 from odomcorrupt.study.terms.basis.motion import VALUES, functions_of_motion
 from odomcorrupt.study.terms.basis.place import functions_of_place
 from odomcorrupt.study.terms.basis.time import functions_of_time
@@ -23,19 +23,14 @@ if TYPE_CHECKING:
 __all__ = ["COEFFICIENTS", "VALUES", "BasisFunction", "basis_functions"]
 
 
-def basis_functions(
-    motions: Sequence[Motion],
-    *,
-    placed: bool = True,
-    sideways: bool = False,
-) -> list[BasisFunction]:
+def basis_functions(motions: Sequence[Motion], *, placed: bool = True, sideways: bool = False) -> list[BasisFunction]:
     """Return every basis function to be tried on these motions.
 
     placed : whether the motions are in one frame, so that functions of heading and place are possible
     sideways : whether the robot drives sideways, so that functions of that speed are possible
     """
     return [
-        *((*functions_of_heading(), *functions_of_place(motions)) if placed else ()),
+        *((wave_of_heading(1), wave_of_heading(2), *functions_of_place(motions)) if placed else ()),
         *functions_of_time(motions),
         *functions_of_motion(motions, sideways=sideways),
     ]

@@ -9,9 +9,7 @@ import numpy as np
 from odomcorrupt.study.terms.basis.basis_function import BasisFunction
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from numpy.typing import NDArray
+    from collections.abc import Callable, Sequence
 
     from odomcorrupt.geometry.motion import Motion
     from odomcorrupt.geometry.se2 import Array
@@ -42,18 +40,8 @@ class _Arc(NamedTuple):
         middle, half = np.degrees((self.middle, np.arccos(self.least)))
         return f"{middle - half:.0f} to {middle + half:.0f}"
 
-    def contains(self, theta: Array) -> NDArray[np.bool_]:
-        """Return whether headings (n,), rad, are in the arc."""
-        return np.cos(theta - self.middle) > self.least
 
-
-def functions_of_heading() -> Iterator[BasisFunction]:
-    """Yield waves of the heading with one and two periods per turn."""
-    for times in (1, 2):
-        yield _wave(times, ())
-
-
-def _wave(times: int, arcs: Sequence[_Arc]) -> BasisFunction:
+def wave_of_heading(times: int, arcs: Sequence[_Arc] = ()) -> BasisFunction:
     """Return a wave with a number of periods per turn, on arcs of headings if there are any, else on all headings."""
     inner = "theta" if times == 1 else f"{times} * theta"
     text, inside = f"k * cos({inner}) + m * sin({inner})", [arc.text for arc in arcs]
@@ -64,7 +52,7 @@ def _wave(times: int, arcs: Sequence[_Arc]) -> BasisFunction:
         text,
         (_part(np.cos, times, arcs), _part(np.sin, times, arcs)),
         2,
-        within=lambda theta, moved: _wave(times, _driven(theta, moved, _BRIDGED * 360.0 / times)),
+        within=lambda theta, moved: wave_of_heading(times, _driven(theta, moved, _BRIDGED * 360.0 / times)),
         place=f"known from {' and '.join(arc.words for arc in arcs)} deg only" if arcs else "",
     )
 
@@ -72,7 +60,7 @@ def _wave(times: int, arcs: Sequence[_Arc]) -> BasisFunction:
 def _part(function: Callable[[Array], Array], times: int, arcs: Sequence[_Arc]) -> Of:
     def value(m: Motion) -> Array:
         wave = function(times * m.theta)
-        return wave * np.any([arc.contains(m.theta) for arc in arcs], axis=0) if arcs else wave
+        return wave * np.any([np.cos(m.theta - arc.middle) > arc.least for arc in arcs], axis=0) if arcs else wave
 
     return value
 
