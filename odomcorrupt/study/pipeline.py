@@ -6,7 +6,7 @@ Clocks are estimated once, before the selection, and used in all later steps.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cached_property
 from typing import TYPE_CHECKING, TypeAlias
 
 from odomcorrupt.study.design.advise import Advice, advise
@@ -40,7 +40,7 @@ LAW = "diffusion"
 """Noise law of learned models: the only law whose drift does not depend on the message rate."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LearnedRobot:
     """Result of learning a robot's model.
 
@@ -77,10 +77,10 @@ class LearnedRobot:
         why = "the other recordings have places of their own (a laser's map)"
         return (f"{names}: {why}, so errors are those of halves of the fitted drive",)
 
-    @property
+    @cached_property
     def sequence(self) -> Comparison:
         """Comparison of the models before each inclusion and the final one; computed on first use."""
-        return _sequence(self)
+        return sequence_comparison(self.search, self.held_out, clocks=self.comparison.clocks)
 
 
 def learn_robot(
@@ -92,8 +92,6 @@ def learn_robot(
 ) -> LearnedRobot:
     """Return the model supported by recordings of one robot, with its evaluation on held-out data.
 
-    Parameters
-    ----------
     recordings : runs of one robot, each with its own clock
     held_out : recordings for evaluation; without any, cross-validation on halves of `recordings`
     decisions : thresholds of the selection
@@ -196,11 +194,6 @@ def _without_excess(search: Learned, recordings: Sequence[Recording]) -> tuple[L
     return calmer, without, [said]
 
 
-@cache
-def _sequence(learned: LearnedRobot) -> Comparison:
-    return sequence_comparison(learned.search, learned.held_out, clocks=learned.comparison.clocks)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class DiagnosedModel:
     """Errors in recordings that a model does not explain.
@@ -227,8 +220,6 @@ def diagnose_model(
 
     The set-up of the model (lever arm, mounting) is refitted, because it belongs to the recordings.
 
-    Parameters
-    ----------
     recordings : runs of one robot
     model : the known model of the robot
     name : name of the model in the comparison

@@ -17,8 +17,6 @@ def no_progress(_stage: str, _share: float) -> None:
 class Work:
     """Work done and expected to remain, in units of one selection step.
 
-    Parameters
-    ----------
     watch : called before each stage with its name and the fraction done, which never decreases and never reaches one
     following : expected work after the selection
     """

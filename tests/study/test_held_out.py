@@ -157,7 +157,7 @@ def learned():
 
 def test_a_large_cause_matters_and_what_chance_makes_of_another_does_not(learned):
     found = replace(learned, contributions=contributions(learned.fit))
-    assert (found.added, found.matters) == (("wheelbase", "wheel_scale"), ("wheelbase",))
+    assert (found.added, found.lacking) == (("wheelbase", "wheel_scale"), ("wheelbase",))
     assert found.is_negligible("wheel_scale")
     strict = replace(found, decisions=replace(DECISIONS, practical=Practical(share=0.0, far_share=0.0, per_m=0.0)))
     assert not strict.is_negligible("wheel_scale")
@@ -169,7 +169,7 @@ def test_a_large_cause_matters_and_what_chance_makes_of_another_does_not(learned
 def test_odometry_is_said_to_be_exact_only_where_nothing_is_searched_in_it(turned, added):
     none = Coefficients(0.0, 0.0, 0.0, 0.0)
     found = pipeline.learn_robot([drive(4, 60.0, none, said=scaled(1.0, turned), truth_mm=0.01, truth_rad=1e-5)])
-    assert (found.search.hardly_errs, found.search.matters) == (True, added)
+    assert (found.search.hardly_errs, found.search.lacking) == (True, added)
     lines = findings_brief(found.search, found.advice, found.comparison, reproduction=found.reproduction).lines
     assert ("exact" in {line.label for line in lines}) is (not added)
 

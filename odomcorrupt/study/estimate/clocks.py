@@ -139,7 +139,7 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach, beside: Seq
         tuple(f.free for f in each),
         errors,
         longest.fit.noise.free,
-        tuple(e for e in longest.fit.onward.effects if e.name in _NUISANCE),
+        tuple(e for e in longest.fit.next_effects if e.name in _NUISANCE),
         truths=tuple(f.fit.noise.truth for f in each),
         ranges_s=tuple((offset_s - _RANGE * error_s, offset_s + _RANGE * error_s) for offset_s, error_s in offsets),
         held=tuple(r.name for r, own in zip(recordings, each, strict=True) if own is common),
@@ -165,7 +165,7 @@ def most_likely_clocks(recordings: Sequence[Recording], clocks: Clocks, approach
     for leader in {i for i, range_s in zip(leaders, clocks.ranges_s, strict=False) if range_s[0] < range_s[1]}:
         runs = [r for r, own in zip(recordings, leaders, strict=True) if own == leader]
         problem = pose_problem(runs, (), [clocks.clocks[leader]] * len(runs), approach=approach)
-        likely = fit_problem(problem, [(True, False)] * len(runs), nearly=True).onward.clocks[0]
+        likely = fit_problem(problem, [(True, False)] * len(runs), nearly=True).next_clocks[0]
         found[leader] = replace(likely, offset_s=float(np.clip(likely.offset_s, *clocks.ranges_s[leader])))
     return tuple(found[leader] for leader in leaders)
 
@@ -210,7 +210,7 @@ def _find_clock(runs: Sequence[Recording], approach: Approach, beside: Sequence[
         )
         held = prior_deviations(problem.effects)
         best = fit_problem(problem, [free] * len(runs), start=noise, nearly=True, held=held)
-        noise, clock, nuisance = best.noise.free, best.onward.clocks[0], best.onward.effects
+        noise, clock, nuisance = best.noise.free, best.next_clocks[0], best.next_effects
         errors = (float(best.clock_errors[0, 0]), float(best.clock_errors[0, 1]))
         last, error = (clock.rate, errors[1]) if free[1] else (clock.offset_s, errors[0])
         clear = abs(last) > _CLOCK_LIMIT * error > 0.0

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -37,13 +37,6 @@ _NEAR, _SMALL = 2.0, 0.1
 """Step sizes in standard errors below which the robust weights are kept, and below which the iteration ends."""
 
 
-class NextStart(NamedTuple):
-    """Parameters after the last step of a fit: the start of the next one."""
-
-    effects: tuple[Effect, ...]
-    clocks: tuple[Clock, ...]
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fit:
     """A fitted model of some recordings.
@@ -55,7 +48,7 @@ class Fit:
     standard_errors : (p,) of the effects' amplitudes, in order; shapes are not fitted
     clock_errors : (R, 2) standard errors of the clocks' offsets and rates; 0 if a clock was not free
     free_clocks : (R, 2) whether offset and rate of each recording's clock were free
-    onward : effects and clocks after the last step, which is small and not yet applied to the problem
+    next_effects, next_clocks : after the last step, which is small and not yet applied to the problem
     """
 
     problem: Problem
@@ -65,7 +58,8 @@ class Fit:
     standard_errors: Array
     clock_errors: Array
     free_clocks: tuple[tuple[bool, bool], ...]
-    onward: NextStart
+    next_effects: tuple[Effect, ...]
+    next_clocks: tuple[Clock, ...]
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -107,8 +101,6 @@ class Fit:
     ) -> Fit:
         """Return a fit of the same recordings, started from this one's clocks and noise.
 
-        Parameters
-        ----------
         effects, random : systematic effects at their starting values, and random ones; default those of this fit
         weights_of : fit whose robust weights are kept, so that likelihoods can be compared; default: re-estimated
         clocks : (R,) starting values of the clocks, kept for those that are not free
@@ -184,7 +176,7 @@ def fit_problem(
     random : random effects in the model, never estimated here: coefficients are included with their given parameters;
         slip bursts allow any number of outliers
     weights_of : fit of the same recordings whose robust weights are kept, at whatever clocks; default: re-estimated
-    nearly : end at a step within two standard errors, found in `onward`; for callers that do not use the residuals
+    nearly : end at a step within two standard errors, see `Fit.next_effects`; for callers that do not use the residuals
     held : (p,) standard deviations of a normal prior of the effects' amplitudes at their values in the problem;
         infinite for those without one; default: no prior
 
@@ -239,7 +231,8 @@ def fit_problem(
         standard_errors=errors[:own],
         clock_errors=clock_errors[leaders],
         free_clocks=tuple((bool(offset), bool(rate)) for offset, rate in free),
-        onward=NextStart(effects, clocks),
+        next_effects=effects,
+        next_clocks=clocks,
     )
 
 

@@ -191,14 +191,10 @@ class NoiseFit:
 class NoiseLikelihood:
     """Likelihood of residuals for given noise; the covariance is a weighted sum of bands that are computed once.
 
-    Parameters
-    ----------
     intervals : the residuals of K intervals
     components : contribution of each coefficient of the law to their covariance
-    columns : (K, 3, m)
-        Columns of free linear parameters.
-    weights : (K,)
-        Robust factors on each interval's covariance.
+    columns : (K, 3, m) of free linear parameters
+    weights : (K,) robust factors on each interval's covariance
     headings : whether the truth has headings; if not, its heading noise is held at a large constant
     """
 

@@ -217,13 +217,11 @@ def knots_of(effect: Effect, problem: Problem) -> Knots:
     return replace(knots, precision=knots.precision / scale**2)
 
 
-def processes() -> list[Process]:
-    """Return the candidate processes; biases without the shortest correlation time, see `_TAUS_S`."""
-    return _processes(_TAUS_S, _TAUS_S[1:])
+def processes(taus_s: Sequence[float] = _TAUS_S, biases_s: Sequence[float] = _TAUS_S[1:]) -> list[Process]:
+    """Return gains with correlation times `taus_s`, a random walk, and mean-reverting biases with `biases_s`.
 
-
-def _processes(taus_s: Sequence[float], biases_s: Sequence[float]) -> list[Process]:
-    """Return gains with correlation times `taus_s`, a random walk, and mean-reverting biases with `biases_s`."""
+    The candidates are the default; biases have not the shortest correlation time, see `_TAUS_S`.
+    """
     kinds = registry()
     markov = [
         Process(kinds["gauss_markov"], {"tau": tau, "channel": channel}, "sigma", unit, tau)
@@ -244,7 +242,7 @@ def processes_like(effect: Effect, *, beside: bool = False) -> list[Process]:
     tau_s = getattr(effect, "tau", 0.0)
     channel = getattr(effect, "channel", None)
     taus_s = [tau_s / _STEP, tau_s, tau_s * _STEP] if beside and tau_s else [tau_s]
-    every = _processes(taus_s, [t for t in taus_s if t >= _TAUS_S[1] or t == tau_s])
+    every = processes(taus_s, [t for t in taus_s if t >= _TAUS_S[1] or t == tau_s])
     own = [p for p in every if p.kind is type(effect) and p.fixed.get("channel") == channel]
     return [p for p in own if (p.tau is None) == (tau_s == 0.0)]
 

@@ -61,8 +61,6 @@ class MotionSmoother:
 
     The motions serve regressors and noise laws only; their composition is not exact.
 
-    Parameters
-    ----------
     stretches : recorded stretches of one run, on the truth's clock: each has the odometry from the beginning of the
         run, and the truth of its own time
     side : the poses of which speeds are local slopes, "odometry" or "truth"

@@ -96,12 +96,10 @@ def fit_returns(drives: Sequence[Recording], names: Sequence[str] = USUAL) -> Re
         _check_both_ways(drives)
     effects: tuple[Effect, ...] = tuple(effect_from_values(name, {}) for name in names)
     count = sum(len(amplitudes(e)) for e in effects)
-    first: Array | None = None
-    covariance = np.eye(count)
+    covariance, problem = np.eye(count), _problem(drives, effects)
+    first = problem.intervals.residual
     for _ in range(_ROUNDS):
-        problem = _problem(drives, effects)
         intervals = problem.intervals
-        first = intervals.residual if first is None else first
         weight = np.linalg.inv(_covariance(problem))
         columns = np.concatenate([problem.columns(e) for e in effects], axis=2)
         normal = np.einsum("kip,kij,kjq->pq", columns, weight, columns)
@@ -109,14 +107,13 @@ def fit_returns(drives: Sequence[Recording], names: Sequence[str] = USUAL) -> Re
         covariance = np.linalg.inv(normal)
         theta = covariance @ np.einsum("kip,kij,kj->p", columns, weight, intervals.residual)
         effects = moved(effects, theta)
+        problem = _problem(drives, effects)
         if np.abs(theta).max() < _STEP:
             break
-    problem = _problem(drives, effects)
     left, weight = problem.intervals, np.linalg.inv(_covariance(problem))
     degrees = 3 * len(left) - count
     misfit = float(np.einsum("ki,kij,kj->", left.residual, weight, left.residual))
     spread = float(np.sqrt(misfit / degrees)) if degrees > 0 else 1.0
-    first = left.residual if first is None else first
     before, after = (float(np.sqrt(np.mean(np.sum(r[:, :2] ** 2, axis=1)))) for r in (first, left.residual))
     beyond = "".join(f" ({effect.name} beyond what is possible)" for effect in effects if on_bound(effect))
     if beyond or (spread > _SCATTERED and after > _EXPLAINED * before):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.effect import amplitudes, parameters
+from odomcorrupt.effects.effect import parameters
 from odomcorrupt.study.io.clock import clock_leaders, led
 from odomcorrupt.study.io.recording import ranks_of
 
@@ -122,6 +122,6 @@ def _moved_shape(problem: Problem, effect: Effect, p: Parameter) -> Array:
     for sign in (1.0, -1.0):
         value = float(np.clip(getattr(effect, p.name) + sign * _EDGE * p.typical, p.low, p.high))
         moved = dataclasses.replace(effect, **{p.name: value})  # type: ignore[type-var]  # effects are dataclasses
-        sides.append((value, problem.columns(moved) @ np.array([getattr(effect, q.name) for q in amplitudes(effect)])))
+        sides.append((value, problem.explained(moved)))
     (high, more), (low, less) = sides
     return (more - less) / max(high - low, 1e-12)

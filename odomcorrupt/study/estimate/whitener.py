@@ -309,12 +309,7 @@ def band_of(diagonal: Array, below: Array | None = None) -> Array:
 def whitener(intervals: Intervals, q: Array, truth: TruthNoise) -> Whitener:
     """Return the whitener of the residuals from the noise of odometry and truth.
 
-    Parameters
-    ----------
-    intervals : K intervals
-    q : (K, 3, 3)
-        Covariance that the odometry's noise law puts on each residual, m and rad.
-    truth : noise of the truth
+    q : (K, 3, 3) covariance that the odometry's noise law puts on each residual, m and rad
     """
     band = band_of(*odometry_piece(intervals, q)) + fixed_band(intervals)
     for weight, piece in zip(truth_weights(truth), truth_pieces(intervals), strict=True):

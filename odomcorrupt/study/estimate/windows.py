@@ -349,8 +349,6 @@ class Drift(NamedTuple):
 
         In a recording of a minute, with few windows, even the true cause may increase the error of some.
 
-        Parameters
-        ----------
         factor : ratio of the RMS errors that is always allowed
         plain : ratio that is allowed if the paired windows differ by less than `errors` standard errors
         errors : number of standard errors of the mean paired difference that counts as significant

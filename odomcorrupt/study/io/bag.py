@@ -34,9 +34,6 @@ _MAX_M2 = 1e12
 def read_bag(path: Path, place: str, wanted: Mapping[Role, str | None]) -> dict[Role, Samples]:
     """Return the requested trajectories of a bag, as recorded.
 
-    Parameters
-    ----------
-    path : any bag
     place : name of the bag in messages
     wanted : topics or TF edges; None selects the only topic that fits the role
 

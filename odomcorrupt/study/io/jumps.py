@@ -177,14 +177,9 @@ _ROUNDS = 20
 def without_spikes(t_s: Array, xyt: Array, top: Array, limit: Array) -> NDArray[np.int64]:
     """Return the indices of the poses that are not spikes.
 
-    Parameters
-    ----------
-    t_s, xyt : (n,), (n, 3)
-        Times and poses, seconds, metres and radians.
-    top : (2,)
-        Usual top speed and turn rate of the robot, m/s and rad/s.
-    limit : (2,)
-        Upper bound of the noise, m and rad.
+    t_s, xyt : (n,) times and (n, 3) poses, seconds, metres and radians
+    top : (2,) usual top speed and turn rate of the robot, m/s and rad/s
+    limit : (2,) upper bound of the noise, m and rad
     """
     kept = np.arange(len(t_s))
     for _ in range(_ROUNDS):
@@ -260,8 +255,6 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     A tracker's excursion must begin or end with a step beyond the robot's reach, because trackers fail suddenly and
     localisations gradually. Single outliers of a tracker are kept, and ignored in this test.
 
-    Parameters
-    ----------
     odometry, truth : sorted by stamp, with clocks that nearly agree
     """
     if not (truth.headed and odometry.headed):

@@ -98,8 +98,6 @@ def contributions(
 ) -> dict[str, Contribution]:
     """Return the contribution of each systematic part of a fitted model, by name; empty if no window is complete.
 
-    Parameters
-    ----------
     fitted : the model; it is refitted without each part
     recordings, clocks : recordings to measure on, such as held-out ones, and their clocks; default the fitted ones, as
         for recordings in another frame if the model has effects of places

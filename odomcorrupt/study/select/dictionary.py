@@ -210,8 +210,6 @@ def linearised(
 
     The evidence is beside what the fit has in any case.
 
-    Parameters
-    ----------
     fit : the current model
     present : effects of the fit that compete, whose terms are the first ones
     terms : the terms of `present`, then all others

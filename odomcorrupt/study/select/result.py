@@ -104,11 +104,6 @@ class Learned:
         return own is not None and own.negligible(self.decisions.practical)
 
     @property
-    def matters(self) -> tuple[str, ...]:
-        """Names of the included library effects that are not negligible, in order."""
-        return tuple(name for name in self.added if not self.is_negligible(name))
-
-    @property
     def of_setup(self) -> tuple[str, ...]:
         """Names of included effects of the recording set-up: position and yaw of the tracked point on the robot."""
         setup = [effect for effect in self.fit.effects if effect.kind == "setup"]
@@ -117,7 +112,7 @@ class Learned:
     @property
     def lacking(self) -> tuple[str, ...]:
         """Names of the included effects of the robot itself that are not negligible, in order."""
-        return tuple(name for name in self.matters if name not in self.of_setup)
+        return tuple(name for name in self.added if not self.is_negligible(name) and name not in self.of_setup)
 
     @property
     def unexplained(self) -> tuple[Dependence, ...]:

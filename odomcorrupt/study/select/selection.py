@@ -82,8 +82,6 @@ def learn(
 ) -> Learned:
     """Return the model selected from recordings of one robot, beginning with the given effects.
 
-    Parameters
-    ----------
     recordings : odometry and truth of one robot
     start : effects that are in the model from the beginning and are not dropped
     law_name : the noise law, see `odomcorrupt.model.noise_laws`

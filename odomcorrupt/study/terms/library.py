@@ -28,9 +28,7 @@ def library_families(
     effect of this drive type, its alias is tested. Effects of single wheels need a track, given or as a parameter,
     effects of places and headings a frame that all recordings share.
 
-    Parameters
-    ----------
-    recordings, motions : the recordings, and their smooth motions
+    motions : smooth motions of the recordings
     have : names of effects that are already in the model
     """
     drive = drive_type_of(recordings)

@@ -45,11 +45,6 @@ class ParameterUncertainty:
     gram: Array
     truth: Array
 
-    @property
-    def certain(self) -> bool:
-        """Whether all parameters count as exact."""
-        return not (len(self.scale) or self.gram.any() or self.truth.any())
-
 
 def uncertainty_of(
     model: MotionModel,
@@ -78,7 +73,12 @@ def uncertainty_of(
             change = more - less
             relative = np.linalg.solve(errors.covariance, change[:, :count, :count] / 2.0)
             scales.append(float(np.trace(relative, axis1=1, axis2=2).mean() / count))
-    columns = _effect_errors(model, replace(problem, intervals=windows), inflate)[:, :count]
+    at_ends = replace(problem, intervals=windows)
+    parts = [np.zeros((len(windows), 3, 0))]
+    for effect in problem.effects:
+        sizes = [model.standard_errors.get(f"{effect.name}.{p.name}", 0.0) for p in amplitudes(effect)]
+        parts.append(at_ends.columns(effect) * np.array(sizes) * inflate)
+    columns = np.concatenate(parts, axis=2)[:, :count]
     solved = np.linalg.solve(errors.covariance, columns)
     gram = np.einsum("nci,ncj->ij", columns, solved) / (len(errors) * count)
     return ParameterUncertainty(np.array(scales), gram, _truth_spread(model, windows, errors, problem))
@@ -92,16 +92,6 @@ def _truth_spread(model: MotionModel, windows: Intervals, errors: WindowErrors, 
     own = windows.covariance(model.noise.law, model.noise.coefficients, problem.steps)[:, :count, :count]
     odometry, total = (np.einsum("nii->i", part) for part in (own, errors.covariance))
     return LOCALISED * (1.0 - odometry / total)
-
-
-def _effect_errors(model: MotionModel, problem: Problem, inflate: float) -> Array:
-    """Return the errors (n, 3, q) at the windows' ends for one standard error of each parameter of the effects."""
-    columns = [np.zeros((len(problem.intervals), 3, 0))]
-    for effect in problem.effects:
-        own = problem.columns(effect)
-        errors = [model.standard_errors.get(f"{effect.name}.{p.name}", 0.0) for p in amplitudes(effect)]
-        columns.append(own * np.array(errors) * inflate)
-    return np.concatenate(columns, axis=2)
 
 
 HORIZONS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -221,7 +211,8 @@ def _draws(errors: WindowErrors, rng: np.random.Generator) -> Array:
 def _excess(errors: WindowErrors, parts: Sequence[tuple[WindowErrors, ParameterUncertainty]]) -> Array:
     """Return the two-sided p-value of each channel's sum of squares, including the parameters' uncertainty."""
     square = np.sum((errors.error / errors.deviation) ** 2, axis=0)
-    if any(part.shared is not None or not uncertainty.certain for part, uncertainty in parts):
+    exact = all(not (len(own.scale) or own.gram.any() or own.truth.any()) for _, own in parts)
+    if not exact or any(part.shared is not None for part, _ in parts):
         rng = np.random.default_rng(_SEED)
         above = np.zeros(len(square))
         for i, own in enumerate(square):

@@ -16,6 +16,7 @@ import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.calibrate import model_of
+from odomcorrupt.study.estimate.clocks import most_likely_clocks
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.gauss_newton import fit_problem
@@ -27,7 +28,7 @@ from odomcorrupt.study.io.recording import was_fitted
 from odomcorrupt.study.validate.calibration import CURVE_M, HORIZONS_M, Horizon
 from odomcorrupt.study.validate.cross_validation import HELD_BY, split_of
 from odomcorrupt.study.validate.evaluation import Evaluation, LogScore, evaluate_stretch, horizons_of, log_score_of
-from odomcorrupt.study.validate.evaluation_clocks import can_be_of_clocks, clocks_beside, own_clocks
+from odomcorrupt.study.validate.evaluation_clocks import can_be_of_clocks, clocks_beside, without_effects_of
 from odomcorrupt.study.validate.goodness_of_fit import Verdict, pits_of, verdict_of, whiteness_of
 from odomcorrupt.study.validate.lack_of_fit import Failure, drift_failures, failures, sudden_failures
 from odomcorrupt.study.validate.trajectory_error import TrajectoryError, trajectory_error
@@ -123,7 +124,8 @@ def compare(
     }
     for name, evaluation in evaluations.items():
         if evaluation.verdict.fails and can_be_of_clocks(evaluation.horizons, recordings, found):
-            own = own_clocks(recordings, approach, models[name], found)
+            likely = most_likely_clocks(without_effects_of(models[name], recordings), found, approach)
+            own = replace(found, clocks=likely)
             pieces = _evaluated(models[name], split.folds(_on_time(recordings, own)), approach)
             again = _evaluation(name, models[name], pieces, pieces, split.notes, fitted=any(known[name]))
             evaluations[name] = evaluation if again.verdict.fails else _with_own_clocks(evaluation, again, found, own)

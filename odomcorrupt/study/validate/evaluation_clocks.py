@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.study.estimate.clocks import Clocks, clock_rivals, find_clocks, most_likely_clocks
+from odomcorrupt.study.estimate.clocks import Clocks, clock_rivals, find_clocks
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned
@@ -45,7 +45,7 @@ def clocks_beside(
     effects = [_effects(model, r) for r in recordings]
     if not any(effect.kind != "noise" for own in effects for effect in own):
         return plain
-    corrected = _without_effects_of(model, recordings)
+    corrected = without_effects_of(model, recordings)
     applied = find_clocks(corrected, approach, rivals)
 
     def error_m(clocks: Sequence[Clock]) -> float:
@@ -65,11 +65,6 @@ def clocks_beside(
         if error_m(other.clocks) < _MAX_ERROR_RATIO * error_m(found.clocks):
             found = other
     return found
-
-
-def own_clocks(recordings: Sequence[Recording], approach: Approach, model: MotionModel, clocks: Clocks) -> Clocks:
-    """Return clocks with the most likely offsets beside a model, within two standard errors."""
-    return replace(clocks, clocks=most_likely_clocks(_without_effects_of(model, recordings), clocks, approach))
 
 
 def can_be_of_clocks(horizons: Sequence[Horizon], recordings: Sequence[Recording], clocks: Clocks) -> bool:
@@ -96,7 +91,7 @@ def _effects(model: MotionModel, recording: Recording) -> tuple[Effect, ...]:
     return (*model.in_frame(recording.frame).effects, *model.setup.effects)
 
 
-def _without_effects_of(model: MotionModel, recordings: Sequence[Recording]) -> list[Recording]:
+def without_effects_of(model: MotionModel, recordings: Sequence[Recording]) -> list[Recording]:
     """Return recordings with the effects of a model removed from the odometry and their truth unchanged.
 
     Effects that depend on the heading in the world need headings, which a truth of positions lacks.

@@ -68,9 +68,6 @@ def drop_unsupported_parts(learned: Learned, others: Sequence[Recording]) -> tup
 
     Effects of places have no meaning on others in frames of their own (maps of a laser): these are not tested.
 
-    Parameters
-    ----------
-    learned : result of the selection
     others : recordings of the same robot not used in the selection
     """
     fitted, said = learned.fit, list[HeldOut]()

@@ -92,12 +92,9 @@ class Rates:
 def joint_rates(whitener: Whitener, innovations: Array, unit: Array, part: NDArray[np.int64], count: int) -> Rates:
     """Return error rates of one channel in disjoint parts of a drive.
 
-    Parameters
-    ----------
     whitener, innovations : of the residuals; innovations (3 K,)
     unit : (K, 3) column of the channel, from `unit_columns`
-    part : (K,) index of each interval's part, -1 for none
-    count : number of parts
+    part : (K,) index of each interval's part, of `count` parts, -1 for none
     """
     masks = part[:, None] == np.arange(count)
     held = np.sum(masks, axis=0) > 0
@@ -238,11 +235,8 @@ def failures(
 ) -> list[Failure]:
     """Return the parts of a drive with unexpected error rates, the most significant first.
 
-    Parameters
-    ----------
     problem, whitener : of a single recording under a model
     innovations : (3 K,) standardised
-    name : name of the recording
     """
     motion = interval_motion(problem)
     patterns = all_patterns(motion)

@@ -196,8 +196,6 @@ def reproduction_of(
 ) -> Reproduction:
     """Return the 10 s errors of the fitted recordings and of a model that corrupts the same drives.
 
-    Parameters
-    ----------
     fit : to the recordings, with its outliers
     model : the model for corruption, as written to a file
     recordings : as recorded, because the model loses increments that the fit restored; default: those of the fit

@@ -62,17 +62,10 @@ class _Drive:
     recording: Recording
     true_xyt: Array
 
-    @property
-    def t_s(self) -> Array:
-        """Times of the odometry (n,), s."""
-        return self.recording.odometry_s
-
 
 def verified_model(model: MotionModel, recordings: Sequence[Recording]) -> RoundTrip:
     """Return the model in a usable form, and the changes made.
 
-    Parameters
-    ----------
     model : as fitted
     recordings : those that it was fitted to; clocks come from the model's set-up
     """
@@ -142,8 +135,7 @@ def _setup_note(model: MotionModel, drives: Sequence[_Drive]) -> list[str]:
 def _drive(model: MotionModel, recording: Recording) -> _Drive:
     clock = Clock(*model.setup.clocks.get(recording.name, (0.0, 0.0)))
     whole = overlapping(with_recomputed_headings(aligned(recording, clock)))
-    smooth, _ = smooth_truth(whole)
-    return _Drive(whole, smooth)
+    return _Drive(whole, smooth_truth(whole)[0])
 
 
 def _within_bounds(model: MotionModel, changes: list[str]) -> MotionModel:
@@ -197,8 +189,9 @@ def _driven(drives: Sequence[_Drive], run: int) -> Iterator[tuple[_Drive, slice]
         return
     turn, number = divmod(run, len(drives))
     drive, share = drives[number], turn / max((RUNS - 1) // len(drives), 1)
-    begin_s = drive.t_s[0] + max(float(drive.t_s[-1] - drive.t_s[0]) - _STRETCH_S, 0.0) * share
-    first, last = np.searchsorted(drive.t_s, (begin_s, begin_s + _STRETCH_S), side="right")
+    t_s = drive.recording.odometry_s
+    begin_s = t_s[0] + max(float(t_s[-1] - t_s[0]) - _STRETCH_S, 0.0) * share
+    first, last = np.searchsorted(t_s, (begin_s, begin_s + _STRETCH_S), side="right")
     yield drive, slice(max(int(first) - 1, 0), int(last))
 
 
@@ -243,8 +236,8 @@ def _fitted_error(model: MotionModel, drives: Sequence[_Drive]) -> float:
 def _correction(effects: Sequence[Effect], drive: _Drive) -> Array:
     """Return corrected minus measured poses (n, 3), computed as by `correct`; places are in the truth's frame."""
     frame = compose(drive.true_xyt[0], inverse(drive.recording.odometry.xyt[0]))
-    track_m = drive.recording.track_m
-    return undo_effects(effects, drive.t_s, drive.recording.odometry.xyt, track_m, frame_xyt=frame).error_xyt
+    t_s, xyt, track_m = drive.recording.odometry_s, drive.recording.odometry.xyt, drive.recording.track_m
+    return undo_effects(effects, t_s, xyt, track_m, frame_xyt=frame).error_xyt
 
 
 def _corrected_error(effects: Sequence[Effect], model: MotionModel, drives: Sequence[_Drive]) -> float:
