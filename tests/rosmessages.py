@@ -44,7 +44,6 @@ def odometry(
 
 
 def edge(ros, stamp_ns, parent, child, xyz, quat):
-    """Return a TransformStamped."""
     transform = new(ros, "geometry_msgs/Transform", floats(ros, "Vector3", xyz), floats(ros, "Quaternion", quat))
     return new(ros, "geometry_msgs/TransformStamped", header(ros, stamp_ns, parent), child, transform)
 

@@ -17,14 +17,6 @@ PGM = b"P5\n2 2\n255\n\xfe\xfe\xfe\xfe"
 YAML = "image: map.pgm\nresolution: 0.05\norigin: [0, 0, 0]\noccupied_thresh: 0.65\nfree_thresh: 0.196\nnegate: 0\n"
 
 
-def as_pipe(path):
-    os.mkfifo(path)
-
-
-def as_device(path):
-    path.symlink_to("/dev/zero")
-
-
 def as_socket(path):
     bound = socket.socket(socket.AF_UNIX)
     here = Path.cwd()
@@ -36,7 +28,10 @@ def as_socket(path):
         bound.close()
 
 
-KINDS = {"a pipe": as_pipe, "a device": as_device, "a socket": as_socket, "a directory": Path.mkdir}
+KINDS = {
+    "a pipe": os.mkfifo, "a device": lambda path: path.symlink_to("/dev/zero"), "a socket": as_socket,
+    "a directory": Path.mkdir,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -111,7 +106,7 @@ def test_no_command_waits_for_a_pipe(name, tmp_path, monkeypatch, capsys):
     shutil.copyfile(OFFICE, "bag/bag_0.mcap")
     place, words = PLACES[name]
     Path(place).unlink(missing_ok=True)
-    as_pipe(place)
+    os.mkfifo(place)
     assert run([str(word) for word in words]) in (1, 2)
     said = capsys.readouterr().err
     assert said.count("\n") == 1, said

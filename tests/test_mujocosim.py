@@ -31,12 +31,12 @@ def steps(run):
     """Ways along, to the left (m), and turns (rad) of odometry and truth over half seconds; shape (n, 3) each."""
     at_ns = run.odom_stamps_ns[run.odom_stamps_ns > run.truth_stamps_ns[0]][:-WINDOW:WINDOW]
     pairs = ((run.odom_stamps_ns, run.odom_xyt), (run.truth_stamps_ns, run.truth_xyt))
-    return [_steps(*(np.interp(at_ns, stamps, c) for c in (*xyt.T[:2], np.unwrap(xyt[:, 2])))) for stamps, xyt in pairs]
-
-
-def _steps(x, y, heading):
-    moved = np.diff(x + 1j * y) * np.exp(-0.5j * (heading[1:] + heading[:-1]))
-    return np.column_stack((moved.real, moved.imag, np.diff(heading)))
+    both = []
+    for stamps, xyt in pairs:
+        x, y, heading = (np.interp(at_ns, stamps, c) for c in (*xyt.T[:2], np.unwrap(xyt[:, 2])))
+        moved = np.diff(x + 1j * y) * np.exp(-0.5j * (heading[1:] + heading[:-1]))
+        both.append(np.column_stack((moved.real, moved.imag, np.diff(heading))))
+    return both
 
 
 def gains(run):

@@ -94,8 +94,6 @@ def learn_robot(
 
     recordings : runs of one robot, each with its own clock
     held_out : recordings for evaluation; without any, cross-validation on halves of `recordings`
-    decisions : thresholds of the selection
-    watch : called before each stage
     """
     work = Work(watch, following=5.5)
     recordings, held_out = (
@@ -220,11 +218,7 @@ def diagnose_model(
 
     The set-up of the model (lever arm, mounting) is refitted, because it belongs to the recordings.
 
-    recordings : runs of one robot
-    model : the known model of the robot
     name : name of the model in the comparison
-    decisions : thresholds of the selection
-    watch : called before each stage
     """
     if model is not None:
         model = model.in_frame(shared_frame(recordings) or "")

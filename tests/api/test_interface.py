@@ -21,7 +21,7 @@ from odomcorrupt.trajectories import read_drive
 from test_refusals import ROBOT
 
 ROOT = Path(__file__).parent.parent.parent
-OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
+OFFICE = ROOT / "fixtures" / "office.mcap"
 NOISE = oc.Noise(alpha=(0.05, 0.02, 0.05, 0.01))
 ALPHA = ["--alpha", "0.05", "0.02", "0.05", "0.01"]
 
@@ -70,7 +70,6 @@ def test_a_path_of_numbers_is_corrupted_as_the_bag_is(tmp_path):
 
 
 def printed(words, capsys):
-    """Return the object that a command prints with --json."""
     assert run([*map(str, words), "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 

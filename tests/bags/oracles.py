@@ -132,7 +132,6 @@ def copy(source, target, change=None, *, stdin=None, **options):
 
 
 def by_chunk(path):
-    """Return the block of each chunk of a bag."""
     with patch.object(Chunk, "goes_on_with", lambda *_: False), open_reader(path) as reader:
         return [block for block in reader.blocks() if getattr(block.raw, "kind", "chunk") == "chunk"]
 
@@ -258,7 +257,6 @@ def mcap_record_places(data):
 
 
 def mcap_record(opcode, *parts):
-    """Return a record of an MCAP."""
     return struct.pack("<BQ", opcode, sum(map(len, parts))) + b"".join(parts)
 
 

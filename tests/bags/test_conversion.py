@@ -67,12 +67,9 @@ def numbers(path):
 
 def converted(source, target, **options):
     """Write a bag with its messages converted and nothing else changed."""
-    assert run([str(source), str(target), "--effect", "wheel_scale:e=0", "-q", *_words(options)]) == 0
+    words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
+    assert run([str(source), str(target), "--effect", "wheel_scale:e=0", "-q", *words]) == 0
     return target
-
-
-def _words(options):
-    return [word for name, value in options.items() for word in (f"--{name}", str(value))]
 
 
 @pytest.mark.parametrize("name", ROS2_NAMES)

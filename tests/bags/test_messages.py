@@ -90,7 +90,7 @@ def to_xcdr2(message, name):  # noqa: C901 - a branch for each kind of field
                 put(len(member) + 1, "<u4")
                 out.extend(member.encode() + b"\0")
             elif int(node) == 1:
-                put(member, numpy_kind(desc[0]))
+                put(member, np.dtype(desc[0]).newbyteorder("<"))
             elif int(node) == 2:
                 write(member, desc)
             elif int(node) == 3:
@@ -111,10 +111,6 @@ def to_xcdr2(message, name):  # noqa: C901 - a branch for each kind of field
 
     write(message, name)
     return bytes(out)
-
-
-def numpy_kind(name):
-    return np.dtype(name).newbyteorder("<")
 
 
 def block_of(messages, lead=3):

@@ -38,7 +38,6 @@ def record_at(data, at):
 
 
 def records(data, at=13):
-    """Return the top-level records of a ROS 1 bag's bytes."""
     found = []
     while at < len(data):
         found.append(record_at(data, at))

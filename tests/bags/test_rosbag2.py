@@ -33,7 +33,6 @@ DIRECTORIES = [path.parent for path in sorted(RECORDINGS.rglob("metadata.yaml"))
 
 
 def dump(path):
-    """Return everything in a sqlite3 file."""
     with closing(sqlite3.connect(f"file:{path}?immutable=1", uri=True)) as connection:
         return list(connection.iterdump())
 

@@ -21,8 +21,8 @@ from odomcorrupt.effects import registry
 from odomcorrupt.model.model_file import parse_model
 from odomcorrupt.model.presets import PRESETS, suggested
 
-ROOT = Path(__file__).parent.parent.parent
-OFFICE = str(Path(__file__).parents[2] / "fixtures" / "office.mcap")
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+OFFICE = str(FIXTURES / "office.mcap")
 COMMANDS = cli.list_commands(click.Context(cli))
 
 
@@ -180,7 +180,6 @@ def test_a_step_may_be_a_distance_alone(tmp_path, capsys):
     assert "once per 0.25m,0.1rad" in capsys.readouterr().err
 
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 NOISE = ["--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "1"]
 MAP = ["map", OFFICE, "--resolution", "0.2", *NOISE]
 

@@ -102,7 +102,6 @@ class MemoryBag:
 
 
 def messages_of(blocks):
-    """Return every message's bytes, in order."""
     return [
         (int(row["channel"]), int(row["log_ns"]), block.data[row["offset"] : row["offset"] + row["length"]].tobytes())
         for block in blocks

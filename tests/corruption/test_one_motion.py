@@ -82,7 +82,6 @@ class Kind:
 
     @property
     def frames(self) -> tuple[str, str]:
-        """Odom and base frame."""
         return ("robot1/odom", "robot1/base") if self.layout == "prefixes" else ("odom", "base_link")
 
 

@@ -29,7 +29,6 @@ def corrupt(source, target, chosen, seed=3, **container):
 
 
 def bytes_of(path):
-    """Return a bag's files, by name."""
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     return {file.relative_to(path).as_posix(): file.read_bytes() for file in files}
 

@@ -50,7 +50,8 @@ from odomcorrupt.study.validate.evaluation import BLOCK_S
 from odomcorrupt.study.validate.goodness_of_fit import PRACTICAL_FACTOR
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+DOCS = ROOT / "docs"
+PAGES = sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md")])
 
 
 def test_the_readme_is_at_most_a_hundred_lines_long():
@@ -66,13 +67,13 @@ def test_every_relative_link_leads_to_a_file(page):
 
 @pytest.mark.parametrize("page", ["glossary.md", "architecture.md"])
 def test_every_module_and_room_that_is_named_exists(page):
-    text = (ROOT / "docs" / page).read_text(encoding="utf8")
+    text = (DOCS / page).read_text(encoding="utf8")
     named = re.findall(r"`([a-z_]+(?:/[a-z_]+)*(?:/|\.py))`", text)
     assert len(named) > 10
     assert [name for name in named if not (ROOT / "odomcorrupt" / name).exists()] == []
 
 
-@pytest.mark.parametrize("page", sorted((ROOT / "docs").rglob("*.md")), ids=lambda page: page.name)
+@pytest.mark.parametrize("page", sorted(DOCS.rglob("*.md")), ids=lambda page: page.name)
 def test_no_page_is_a_diary(page):
     months = "January|February|March|April|May|June|July|August|September|October|November|December"
     text = page.read_text(encoding="utf8")
@@ -81,11 +82,11 @@ def test_no_page_is_a_diary(page):
 
 def test_every_page_is_in_the_navigation_of_the_site():
     listed = set(re.findall(r"[\w/-]+\.(?:md|ipynb)", (ROOT / "mkdocs.yml").read_text(encoding="utf8")))
-    assert {str(page.relative_to(ROOT / "docs")) for page in (ROOT / "docs").rglob("*.md")} <= listed
+    assert {str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md")} <= listed
 
 
 def test_the_python_reference_has_every_public_name():
-    page = (ROOT / "docs" / "api-reference.md").read_text(encoding="utf8")
+    page = (DOCS / "api-reference.md").read_text(encoding="utf8")
     listed = re.findall(r"^::: (\S+)$", page, re.MULTILINE)
     public = {f"odomcorrupt.{name}" for name in odomcorrupt.__all__ if name != "__version__"}
     assert public <= set(listed)
@@ -97,8 +98,8 @@ def test_the_python_reference_has_every_public_name():
 def test_every_picture_is_shown_and_has_a_script_that_makes_it():
     texts = {page: page.read_text(encoding="utf8") for page in PAGES}
     shown = {name for text in texts.values() for name in re.findall(r"\]\((?:docs/|\.\./)?images/([\w.-]+)", text)}
-    scripts = {path: path.read_text(encoding="utf8") for path in (ROOT / "docs").glob("make_*.py")}
-    images = {path.name for path in (ROOT / "docs" / "images").iterdir()}
+    scripts = {path: path.read_text(encoding="utf8") for path in DOCS.glob("make_*.py")}
+    images = {path.name for path in (DOCS / "images").iterdir()}
     assert shown == images
     assert [name for name in sorted(images) if not any(_makes(text, name) for text in scripts.values())] == []
 
@@ -157,7 +158,7 @@ def test_the_site_shows_compact_lines_of_docstrings_as_a_section():
     assert in_sections(plain, "Parameters") == plain
 
 
-API_PAGE = (ROOT / "docs" / "api.md").read_text()
+API_PAGE = (DOCS / "api.md").read_text()
 BLOCKS = re.findall(r"^```python\n(.*?)^```", API_PAGE, re.MULTILINE | re.DOTALL)
 
 
@@ -184,7 +185,7 @@ def test_every_example_of_the_page_runs(tmp_path, monkeypatch, capsys):
     assert len(repr(names["base"])) < 200
 
 
-MODEL_PAGE = (Path(__file__).parents[2] / "docs" / "model-file.md").read_text(encoding="utf8")
+MODEL_PAGE = (DOCS / "model-file.md").read_text(encoding="utf8")
 (MODEL_EXAMPLE,) = re.findall(r"```toml\n(.*?)```", MODEL_PAGE, re.DOTALL)
 
 
@@ -215,9 +216,6 @@ def test_an_origin_that_is_no_place_is_refused(origin, complaint):
 def test_every_coefficient_of_the_example_is_in_the_table():
     table = set(re.findall(r"^\| `(\w+)` \|", MODEL_PAGE, re.MULTILINE))
     assert table == set(re.findall(r"^(\w+_(?:rot|trans|time)) = ", MODEL_EXAMPLE, re.MULTILINE))
-
-
-DOCS = Path(__file__).parents[2] / "docs"
 
 
 EFFECTS_PAGE = (DOCS / "effects.md").read_text(encoding="utf8")
@@ -271,7 +269,7 @@ def test_the_table_of_scans_has_the_values_of_the_code():
     assert f"{ground._MOST_DISCS} at most" in rows["`region_slip`"]
 
 
-OFFICE = DOCS.parent / "fixtures" / "office.mcap"
+OFFICE = ROOT / "fixtures" / "office.mcap"
 NOISE = "schema = 1\n[noise]\nlaw = 'diffusion'\nrot_rot = 0.1\nrot_trans = 0.05\ntrans_trans = 0.1\ntrans_rot = 0\n"
 LOCALISER = """
 import shutil, sys
@@ -359,8 +357,7 @@ def test_the_test_of_replay_testing_judges_messages_of_a_recording(tmp_path, mon
         assert test.run().wasSuccessful() is fine
 
 
-JSON_PAGE = (ROOT / "docs" / "json.md").read_text(encoding="utf8")
-OFFICE_BAG = str(ROOT / "fixtures" / "office.mcap")
+JSON_PAGE = (DOCS / "json.md").read_text(encoding="utf8")
 
 
 def keys_of(values):
@@ -378,14 +375,13 @@ def test_the_page_names_the_keys(command, more, capsys):
     topics = re.findall(r"`(\w+)`", next((line for line in table if line.startswith("| `topics[]`")), ""))
     edges = re.findall(r"`(\w+)`", next((line for line in table if line.startswith("| `edges[]`")), ""))
     named = {code.split(".")[-1].removesuffix("[]") for codes in first for code in codes} | {*topics, *edges}
-    assert run([command, OFFICE_BAG, "--json", *more]) == 0
+    assert run([command, str(OFFICE), "--json", *more]) == 0
     values = json.loads(capsys.readouterr().out)
     assert values["schema"] == 2
     assert keys_of(values) - {"schema"} == named
 
 
 def printed(words, capsys):
-    """Return the object that a command prints, on stdout or stderr."""
     assert run([*words, "--json"]) == 0
     return json.loads("".join(capsys.readouterr()).split("\nwrote ", 1)[0])
 
@@ -416,10 +412,10 @@ def test_the_page_names_the_keys_of_a_fit(tmp_path, capsys):
 
 
 def test_the_page_names_the_keys_of_commands_that_write(tmp_path, capsys):
-    values = printed([OFFICE_BAG, str(tmp_path / "noisy.mcap"), "--seed", "1"], capsys)
+    values = printed([str(OFFICE), str(tmp_path / "noisy.mcap"), "--seed", "1"], capsys)
     heading = "Corruption, `correct`, `batch`"
     assert unnamed(values, heading) <= COEFFICIENTS | {"/odom", "odom -> base_link"}
-    words = ["batch", OFFICE_BAG, str(tmp_path / "runs"), "--runs", "2", "--seed", "1", "--output", "trajectories"]
+    words = ["batch", str(OFFICE), str(tmp_path / "runs"), "--runs", "2", "--seed", "1", "--output", "trajectories"]
     assert unnamed(printed(words, capsys), heading) == set()
     words = ["simulate", str(tmp_path / "run.mcap"), "--seed", "1", "--duration", "30"]
     assert unnamed(printed(words, capsys), "Other commands") == set()
@@ -442,10 +438,10 @@ def test_the_page_is_what_its_script_writes(script, words, page, tmp_path, monke
     monkeypatch.setattr(sys, "path", [str(BENCHMARKS), *sys.path])
     monkeypatch.setattr(sys, "argv", [script, *map(str, words), str(written)])
     runpy.run_path(str(BENCHMARKS / script), run_name="__main__")
-    assert written.read_text(encoding="utf8") == (ROOT / "docs" / page).read_text(encoding="utf8")
+    assert written.read_text(encoding="utf8") == (DOCS / page).read_text(encoding="utf8")
 
 
-COMMANDS = re.findall(r"```sh\n(.*?)\n```", (ROOT / "docs" / "pipelines.md").read_text(encoding="utf8"), re.DOTALL)
+COMMANDS = re.findall(r"```sh\n(.*?)\n```", (DOCS / "pipelines.md").read_text(encoding="utf8"), re.DOTALL)
 
 
 @pytest.fixture
@@ -468,7 +464,7 @@ def shell(tmp_path):
 @pytest.fixture(scope="module")
 def expected(tmp_path_factory):
     target = tmp_path_factory.mktemp("file") / "noisy.mcap"
-    assert run([str(ROOT / "fixtures" / "office.mcap"), str(target), "--seed", "7"]) == 0
+    assert run([str(OFFICE), str(target), "--seed", "7"]) == 0
     return target.read_bytes()
 
 
@@ -506,7 +502,7 @@ def test_a_producer_that_dies_is_one_line_and_leaves_nothing(shell):
 
 
 def test_the_line_for_shell_completion_defines_one(shell):
-    page = (ROOT / "docs" / "completion.md").read_text(encoding="utf8")
+    page = (DOCS / "completion.md").read_text(encoding="utf8")
     code, said, _ = shell(re.findall(r"`(eval .*bash_source.*)`", page)[0] + " && complete -p odomcorrupt")
     assert (code, said) == (0, "")
     assert len(COMMANDS) == 4
@@ -541,7 +537,7 @@ def test_the_first_table_is_that_of_the_sections():
     assert "\n".join(lines) in ROBOTS_PAGE
 
 
-TEXT = " ".join((Path(__file__).parents[2] / "docs" / "study.md").read_text(encoding="utf8").split())
+TEXT = " ".join((DOCS / "study.md").read_text(encoding="utf8").split())
 WORDS = {2: "two", 13: "thirteen"}
 
 
@@ -581,11 +577,6 @@ def test_every_picture_of_the_page_is_there():
     assert all((PAGE.parent / picture).stat().st_size > 10_000 for picture in pictures)
 
 
-def pixels(path: Path) -> np.ndarray:
-    """Return a picture's grey values, shape (height, width), within 0 and 1."""
-    return imread(path)[..., :3].mean(axis=2)
-
-
 @pytest.mark.slow
 def test_the_tutorial_runs_and_says_what_it_shows(tmp_path):
     for command, shown in sessions():
@@ -596,7 +587,8 @@ def test_the_tutorial_runs_and_says_what_it_shows(tmp_path):
     # the last word of the page: one effect is left
     assert ", or " not in answer
     for name in ("rejected", "falls", "fan"):
-        stored, drawn = (pixels(path) for path in (IMAGES / f"tutorial_{name}.png", tmp_path / f"{name}.png"))
+        paths = IMAGES / f"tutorial_{name}.png", tmp_path / f"{name}.png"
+        stored, drawn = (imread(path)[..., :3].mean(axis=2) for path in paths)  # grey values
         assert stored.shape == drawn.shape, f"tutorial_{name}.png is stale: run docs/make_tutorial.py"
         # last digits move lines by a pixel; another legend or another curve changes more
         assert np.mean(np.abs(stored - drawn) > 0.15) < 0.01, f"tutorial_{name}.png is stale: run docs/make_tutorial.py"

@@ -55,7 +55,6 @@ class Good(Effect):
 
 
 def variant(methods, **facts):
-    """Return the good effect with a flaw."""
     kind = type("Flawed", (Good,), {"__slots__": (), "name": "flawed", **facts, **methods})
     return dataclass(frozen=True)(kind)
 

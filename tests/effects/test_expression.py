@@ -82,11 +82,7 @@ def test_what_is_added_to_wheels_is_shown_the_wheels_own_motion():
     assert f("right += k * y")[:, 0] == pytest.approx(0.15 * (drive.y - 0.2 * np.cos(drive.theta)))
     assert f("left += k * x")[:, 0] == pytest.approx(0.15 * (drive.x - 0.2 * np.sin(drive.theta)))
     # a gyro does not notice
-    assert f("wheels += k * v", heading="gyro") == pytest.approx(both_without_yaw(f("wheels += k * v")))
-
-
-def both_without_yaw(f):
-    return f * [1.0, 1.0, 0.0]
+    assert f("wheels += k * v", heading="gyro") == pytest.approx(f("wheels += k * v") * [1.0, 1.0, 0.0])
 
 
 def test_wheels_need_a_track_and_only_they_have_a_word_for_the_heading():

@@ -124,7 +124,6 @@ def batches(room: Path, kills: int, dice: random.Random, minutes: float = 1e9) -
 
 
 def main() -> None:
-    """Be the script."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)

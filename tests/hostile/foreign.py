@@ -63,7 +63,6 @@ READERS = (
 
 
 def ours(*words: str) -> None:
-    """Run our command."""
     subprocess.run([sys.executable, "-m", "odomcorrupt", *words], check=True, capture_output=True)
 
 
@@ -121,14 +120,9 @@ def expected(output: Output) -> dict[str, object]:
     return {"counts": dict(counts), "first": first[1] if first else None}
 
 
-def is_ros1(output: Output) -> bool:
-    """Whether an output's messages are ROS 1's."""
-    return output.kind == "ros1" or "of a ROS 1 bag" in output.name
-
-
 def opens(reader: Reader, output: Output) -> bool | None:
     """Tell whether a reader has a format for an output."""
-    in_mcap = 1 if is_ros1(output) else 2
+    in_mcap = 1 if output.kind == "ros1" or "of a ROS 1 bag" in output.name else 2
     if reader.name == "evo" and not output.directory and output.kind != "ros1":
         return False  # evo opens directories
     fits = output.kind in reader.kinds and output.directory in reader.directories
@@ -209,7 +203,6 @@ def played(output: Output) -> str:
 
 
 def main() -> int:
-    """Write, ask, and print the table."""
     wrong = 0
     with tempfile.TemporaryDirectory() as room:
         outputs = write_outputs(Path(room))

@@ -53,7 +53,6 @@ class Fuzz:
         return self.tried + self.bag_trial.outcomes + self.text_trial.outcomes
 
     def case(self, kind: str, number: int) -> None:
-        """Try one case."""
         rng = np.random.default_rng([self.seed, self.kinds.index(kind), number])
         self.tried[kind] += 1
         if kind in TEXTS:

@@ -109,7 +109,6 @@ class ReaderFuzz:
         self.counts: Counter[str] = Counter()
 
     def case(self, kind: str, number: int) -> None:
-        """Try one case."""
         rng = np.random.default_rng([self.seed, self.kinds.index(kind), number])
         try:
             with guarded(CPU_S):
@@ -214,7 +213,8 @@ class ReaderFuzz:
             for item in layout.items:
                 for field in item.fields:
                     scatter(block, layout, item, field, gather(block, layout, item, field))
-        if block.data.tobytes() != before and not _has_signalling(before, block.data.tobytes()):
+        # a bit may make a signalling NaN quiet
+        if np.any((np.frombuffer(before, dtype=np.uint8) ^ block.data) & ~np.uint8(0x08)):
             raise FoundError("numbers that were read and written back are other ones")
         for layout in layouts:
             for item in layout.items:
@@ -257,12 +257,6 @@ class ReaderFuzz:
 def _require_within(table: np.ndarray, size: int) -> None:
     if table.size and (table["offset"].min() < 0 or (table["offset"] + table["length"]).max() > size):
         raise FoundError("a message reaches beyond its chunk")
-
-
-def _has_signalling(before: bytes, after: bytes) -> bool:
-    """Whether the only differences are bits that make a signalling NaN quiet."""
-    one, other = np.frombuffer(before, dtype=np.uint8), np.frombuffer(after, dtype=np.uint8)
-    return bool(np.all((one ^ other) & ~np.uint8(0x08) == 0))
 
 
 def _read(data: bytes, *, recover: bool) -> tuple[int, int, list[str]]:

@@ -188,15 +188,12 @@ def test_open_space_changes_no_bit():
     np.testing.assert_array_equal(ours.sums, plain.sums)
 
 
-def pocket():
-    """A corridor whose upper half ends in a pocket: who drifts up is stuck, who stays low passes below it."""
-    return room((2.0, 0.05, 2.2, 5.0), (0.5, 0.35, 2.1, 0.5), (0.5, -0.5, 4.5, -0.4))
-
-
 @pytest.mark.slow
 def test_path_through_a_pocket_is_drawn_as_a_whole_and_free():
     stamps, xyt = drive()
-    within = Constraint(free_space(pocket(), 0.0), "path", 5)
+    # the upper half of the corridor ends in a pocket: who drifts up is stuck, who stays low passes below it
+    pocket = room((2.0, 0.05, 2.2, 5.0), (0.5, 0.35, 2.1, 0.5), (0.5, -0.5, 4.5, -0.4))
+    within = Constraint(free_space(pocket, 0.0), "path", 5)
     stuck = []
     for run in range(20):
         try:

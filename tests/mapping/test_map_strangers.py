@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 from packed import grid, scan
+from test_grids import written
 
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import BagError, MapError, RecordingError, TopicError
@@ -136,15 +137,9 @@ def test_map_that_is_not_in_the_bag_is_reported_with_those_that_are(tmp_path):
         read_odom_frame(empty, Options())
 
 
-def map_file(tmp_path, yaml, pgm):
-    (tmp_path / "m.pgm").write_bytes(pgm)
-    (tmp_path / "m.yaml").write_text(yaml)
-    return tmp_path / "m.yaml"
-
-
 def test_map_of_fewer_greys_and_a_list_below_its_key(tmp_path):
     yaml = "image: m.pgm\nresolution: 0.5 # metres\norigin:\n- -1.5\n- 2\n- 0.25\nnegate: false\n"
-    found = read_map(map_file(tmp_path, yaml, b"P5\n3 1\n15\n\x0f\x00\x08"))
+    found = read_map(written(tmp_path, yaml, b"P5\n3 1\n15\n\x0f\x00\x08"))
     assert found.cells.tolist() == [[FREE, OCCUPIED, UNKNOWN]]
     np.testing.assert_array_equal(found.origin_xyt, [-1.5, 2.0, 0.25])
 
@@ -153,9 +148,9 @@ def test_map_of_fewer_greys_and_a_list_below_its_key(tmp_path):
 def test_image_that_is_no_file_beside_its_map_is_reported(tmp_path, name):
     yaml = f"image: {name}\nresolution: 0.5\norigin: [0, 0, 0]\n"
     with pytest.raises(MapError):
-        read_map(map_file(tmp_path, yaml, b"P5 1 1 255\n\0"))
+        read_map(written(tmp_path, yaml, b"P5 1 1 255\n\0"))
 
 
 def test_file_that_is_too_long_for_a_map_is_none(tmp_path):
     with pytest.raises(MapError, match=r"is not a map's \.yaml"):
-        read_map(map_file(tmp_path, "image: m.pgm\n" * 10_000, b""))
+        read_map(written(tmp_path, "image: m.pgm\n" * 10_000, b""))

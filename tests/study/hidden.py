@@ -1,7 +1,5 @@
 """Recordings with a hidden cause, from the wheel-level simulation, as the study reads them."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from odomcorrupt.geometry.trajectory import Trajectory
@@ -30,12 +28,6 @@ def as_recording(run, name="run", *, track=True):
         int(run.odom_stamps_ns[0]),
         run.track_m if track else None,
     )
-
-
-def scanned(recording: Recording) -> Recording:
-    """Return a recording whose truth is a laser's: poses with covariances."""
-    each = np.tile(np.diag([1e-6, 1e-6, 1e-6]), (len(recording.truth), 1, 1))
-    return replace(recording, truth=replace(recording.truth, covariance=each))
 
 
 def ten_second_error(runs, effects=(), clock: Clock = Clock()) -> float:  # noqa: B008 - a frozen value

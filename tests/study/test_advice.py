@@ -33,10 +33,6 @@ def steady(v: float, omega: float, seconds: float = 240.0) -> Commands:
     return Commands(times_s, np.full(len(times_s), v), np.full(len(times_s), omega))
 
 
-def as_commands(plan) -> Commands:
-    return Commands(np.arange(len(plan.v_mps)) * STEP_S, plan.v_mps, plan.omega_radps)
-
-
 def met(cause, route, seed, path=None):
     """Return the recording of robot 3 with a flaw on a drive; the drive goes through a bag where a path is given."""
     if path is not None:
@@ -135,9 +131,8 @@ def test_expected_nats_are_those_that_a_drive_then_gives():
     alone = separation((one,), (other,), [], [recorded_field(fitted)])
     expected = separation((one,), (other,), [], [planned_field(fitted, plan)])
     assert alone < 0.1 * expected
-    run = as_recording(
-        simulate(4, "wheel_scale", route=as_commands(plan), duration_s=120.0, robot_seed=3, parameters={"e": 0.01})
-    )
+    route = Commands(np.arange(len(plan.v_mps)) * STEP_S, plan.v_mps, plan.omega_radps)
+    run = as_recording(simulate(4, "wheel_scale", route=route, duration_s=120.0, robot_seed=3, parameters={"e": 0.01}))
     right, wrong = (fit([run], [kinds[name]()], approach=Approach()).log_likelihood for name in (one.name, other.name))
     # a ratio with expectation N scatters by sqrt(2 N)
     assert abs(right - wrong - expected) < 3.0 * np.sqrt(2.0 * expected) + 0.2 * expected
@@ -174,11 +169,6 @@ def test_the_most_useful_drive_answers_most_questions_the_second_ones_on_the_way
     assert most_useful_of(beside=[weak, weak]) == ("squares", 600.0)
 
 
-def steadily(v, omega, seconds):
-    n = round(seconds / STEP_S)
-    return Commands(np.arange(n) * STEP_S, np.full(n, v), np.full(n, omega))
-
-
 def on_the_way(recording, edge_s=5.0):
     """Return the recording without how it began and ended."""
     first_s, last_s = recording.odometry_s[[0, -1]] + (edge_s, -edge_s)
@@ -194,10 +184,10 @@ def on_the_way(recording, edge_s=5.0):
 
 @pytest.mark.slow
 def test_a_clock_that_was_not_put_to_the_test_is_reported():
-    route = steadily(0.5, 0.0, 120.0)
+    route = steady(0.5, 0.0, 120.0)
     run = as_recording(simulate(3, None, route=route, duration_s=route.duration_s))
-    steady = advise(learn([on_the_way(run)]))
-    (clock,) = (one for one in steady.untestable if one.effect == "time_offset")
+    calm = advise(learn([on_the_way(run)]))
+    (clock,) = (one for one in calm.untestable if one.effect == "time_offset")
     assert clock.plan is not None
     mixed = advise(learn([as_recording(simulate(3, None, duration_s=120.0))]))
     assert "time_offset" not in {one.effect for one in mixed.untestable}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hidden import ten_second_error
 from wandering import noisy_path, recording, wander
-from wheel_models import AXLES_M, GRID_HZ, HOBBY_TRACK_M, Flaw, car, forklift, hobby, lagged
+from wheel_models import AXLES_M, GRID_HZ, HOBBY_TRACK_M, Flaw, car, forklift, hobby, lagged, loose
 
 from odomcorrupt.api.recordings import Recordings
 from odomcorrupt.geometry.se2 import Increments, accumulate
@@ -43,11 +43,7 @@ def in_whole_ticks(u, _t_s):  # of readings that shake by a tick
 
 def through_play(u, _t_s):
     """Return the speed of a wheel that its motor turns through play: it stays where it is until it is pushed."""
-    places = np.cumsum(u) / GRID_HZ
-    at, wheel = 0.0, np.empty_like(places)
-    for i, place in enumerate(places):
-        at = min(max(at, place - PLAY_M / 2.0), place + PLAY_M / 2.0)
-        wheel[i] = at
+    wheel = loose(np.concatenate(([0.0], np.cumsum(u) / GRID_HZ)), PLAY_M)[1:]
     return np.diff(wheel, prepend=wheel[0]) * GRID_HZ
 
 

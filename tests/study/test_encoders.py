@@ -164,7 +164,6 @@ STEPS_TRACK_M, DT_S = 0.36, 0.02
 
 
 def in_steps(travel, turn):
-    """Return a drive whose odometry has these increments."""
     steps = wander(3, 120.0)
     run = recording(steps, accumulate(np.zeros(3), steps), seed=3)
     xyt = accumulate(np.zeros(3), Increments(travel, np.zeros_like(travel), turn))

@@ -263,18 +263,12 @@ def test_a_robot_that_turns_several_times_as_far_as_its_odometry_says_is_named(t
     assert 1.0 / (1.0 + learned.fit.by_name["wheelbase"].e) == pytest.approx(times, rel=0.01)
 
 
-def inward(seed, k=-0.05):
-    """Return a recording whose truth slips into its turns, as no tyre does."""
-
-    def slid(steps):
-        return replace(steps, dl_m=-k * steps.ds_m * steps.dtheta_rad * 50.0)
-
-    return drive(seed, driven=slid, truth_mm=2.0)
-
-
 @pytest.mark.slow
 def test_a_sign_that_physics_forbids_is_an_alarm_about_the_data_and_no_name():
-    learned = learn([inward(3)])
+    def inward(steps):  # no tyre slips into its turns
+        return replace(steps, dl_m=0.05 * steps.ds_m * steps.dtheta_rad * 50.0)
+
+    learned = learn([drive(3, driven=inward, truth_mm=2.0)])
     assert [one.name for one in learned.contradicted] == ["side_slip"]
     assert (learned.added, learned.unknown) == ((), ())
 

@@ -267,16 +267,11 @@ def test_at_a_constant_yaw_rate_noise_over_time_is_noise_of_turns(law):
     steps = Increments(np.full(n, 0.01), np.zeros(n), np.full(n, rate / RATE_HZ))
     run = recording(steps, accumulate(np.zeros(3), steps))
     problem = pose_problem([run], approach=Approach())
-    own = LAWS["diffusion"] if law == "diffusion" else replace_arc(LAWS["diffusion"])
+    own = LAWS["diffusion"]._replace(arc=law == "velocity")  # with rot1 along the arc, as that of table 5.3
     timed, turned = Coefficients(0, 0, 0, 0, rot_time=0.02), Coefficients(0.02 / np.sqrt(rate), 0, 0, 0)
     for windows in (problem.intervals, of_positions(run)):
         expected = windows.covariance(own, turned, problem.steps)
         np.testing.assert_allclose(windows.covariance(own, timed, problem.steps), expected, rtol=1e-6, atol=1e-15)
-
-
-def replace_arc(law):
-    """Return the law with rot1 along the arc, as that of table 5.3."""
-    return law._replace(arc=True)
 
 
 def of_positions(run):

@@ -19,7 +19,6 @@ from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.validate.round_trip import _corrected_error, _drive, _fitted_error, verified_model
 
 NOISE = Noise("diffusion", Coefficients(0.01, 0.01, 0.005, 0.001))
-LAW = "along += abs(v) * (k * abs(v * omega))"
 
 
 @pytest.fixture(scope="module")

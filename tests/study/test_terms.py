@@ -26,17 +26,12 @@ def fitted():
     return fit([run], approach=choose_approach([run]))
 
 
-def basis_terms(fitted, every=303):
-    """Return some of the basis functions on everything that they act on."""
+def test_a_basis_function_has_the_columns_of_the_effect_that_it_becomes(fitted):
     motions = fitted.problem.motions
     pairs = [
         (f, a) for a in actions_on(motions) for f in basis_functions(motions) if not a.reaches.isdisjoint(f.reaches)
     ]
-    return [BasisTerm(function, action) for function, action in pairs[::every]]
-
-
-def test_a_basis_function_has_the_columns_of_the_effect_that_it_becomes(fitted):
-    for term in basis_terms(fitted):
+    for term in (BasisTerm(function, action) for function, action in pairs[::303]):
         tested, fits = term.columns(fitted.problem), fitted.problem.columns(term.start)
         # numbers are written with four digits, so single samples may lie on the other side of an edge
         assert np.abs(tested - fits).max(axis=(1, 2)).mean() < 1e-3 * np.abs(fits).max() + 1e-12, term

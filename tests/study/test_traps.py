@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden import as_recording, library_candidates, scanned, ten_second_error
+from hidden import as_recording, library_candidates, ten_second_error
 from wandering import PLANTED, RATE_HZ, drive, noisy_path, recording, wander
 
 from odomcorrupt.effects import registry
@@ -69,7 +69,9 @@ def test_4_an_offset_that_rounded_or_late_stamps_or_a_scanners_clock_hide_needs_
     hidden = replace(run, odometry=Trajectory(stamps, run.odometry.xyt), origin_ns=int(stamps[0]))
     assert not find_clocks([hidden], choose_approach([hidden])).free[0][0]
     rounded, late = (replace(hidden, **known) for known in ({"stamp_error_s": 0.003}, {"stamp_jitter_s": 0.004}))
-    for known in (rounded, late, scanned(hidden)):
+    covariance = np.tile(np.diag([1e-6, 1e-6, 1e-6]), (len(hidden.truth), 1, 1))
+    scanned = replace(hidden, truth=replace(hidden.truth, covariance=covariance))
+    for known in (rounded, late, scanned):
         clocks = find_clocks([known], choose_approach([known]))
         assert clocks.free[0][0]
         assert clocks.clocks[0].offset_s == pytest.approx(0.0007, abs=3.0 * clocks.errors[0][0])

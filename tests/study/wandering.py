@@ -77,5 +77,4 @@ def drive(seed, seconds=240.0, noise=QUIET, *, said=None, driven=None, **truth):
 
 
 def scaled(travel=1.0, turn=1.0):
-    """Return a change of steps by factors."""
     return lambda steps: Increments(travel * steps.ds_m, travel * steps.dl_m, turn * steps.dtheta_rad)

@@ -93,11 +93,7 @@ def separation(
 
 
 def sizes(effect: Effect, beside: Sequence[Effect], fields: Sequence[Field]) -> Array:
-    """Return the standard errors (p,) of an effect's amplitudes from all drives together; inf if undetermined.
-
-    beside : effects that are free too
-    fields : the drives
-    """
+    """Return the standard errors (p,) of an effect's amplitudes from all drives together; inf if undetermined."""
     signal, rest = _stacked((effect,), beside, fields)
     left = _without(rest, signal)
     scale = np.sqrt(np.maximum(np.sum(signal**2, axis=0), 1e-300))

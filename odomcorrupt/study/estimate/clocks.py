@@ -267,10 +267,6 @@ def find_setup(
 
     They are estimated with the usual systematic effects free, which are then discarded. One that is not significant,
     that increases the drift, or that is aliased with a requested effect is left out.
-
-    effects : requested effects
-    clocks : clocks of the recordings
-    approach : intervals, side of the regressors and noise law
     """
     kinds, asked = registry(), _with_aliases(effects)
     near = {effect.name: effect for effect in clocks.beside}

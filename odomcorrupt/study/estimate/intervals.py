@@ -119,7 +119,6 @@ class Intervals:
     def covariance(self, law: Law, k: Coefficients, steps: Increments) -> Array:
         """Return the residuals' covariance (K, 3, 3), m and rad, due to a noise law on the odometry's increments.
 
-        k : coefficients of the law
         steps : increments of the odometry, in the order of the samples
         """
         total = self.spread(law, variances(law, k, steps), steps)

@@ -169,14 +169,21 @@ def pose_problem(
     reading = approach.side != "odometry" and any(effect.reads_truth for effect in effects)
     smooth = [MotionSmoother(one.stretches, "odometry", one) if reading else one for one in smoothers]
     whole = [undo(one.recording, effects, smoother=one) for one in smooth]
-    left = [with_recomputed_headings(one) for one in _left(recordings, clocks, smoothers, whole)]
+    runs = _runs(recordings, clocks)
+    known: dict[int, Recording] = {}
+    for run, smoother, undone in zip(runs, smoothers, whole, strict=True):
+        for i, stretch in zip(run, smoother.stretches, strict=True):
+            cut = undone.odometry.only(slice(len(stretch.odometry)))
+            one = stretch if undone is smoother.recording else replace(stretch, odometry=cut)
+            known[i] = with_recomputed_headings(one)
+    left = [known[i] for i in range(len(recordings))]
     intervals = [intervals_of(recording, approach.spacing_s) for recording in left]
     if approach.side == "odometry" and effects:
         # speeds of the recorded odometry, accelerations of the corrected one
         again = zip(seen, smoothers, whole, strict=True)
         seen = [replace(motion, acceleration=smoother.acceleration(now)) for motion, smoother, now in again]
     first = np.cumsum([0, *(len(motion) for motion in seen)])
-    before_run = {i: int(n) for run, n in zip(_runs(recordings, clocks), first, strict=False) for i in run}
+    before_run = {i: int(n) for run, n in zip(runs, first, strict=False) for i in run}
     return Problem(
         recordings=recordings,
         effects=effects,
@@ -229,21 +236,6 @@ def _one_run(one: Recording, other: Recording) -> bool:
     shared = min(len(one.odometry), len(other.odometry))
     a, b = one.odometry, other.odometry
     return np.array_equal(a.stamps_ns[:shared], b.stamps_ns[:shared]) and np.array_equal(a.xyt[:shared], b.xyt[:shared])
-
-
-def _left(
-    recordings: Sequence[Recording],
-    clocks: Sequence[Clock],
-    smoothers: Sequence[MotionSmoother],
-    whole: Sequence[Recording],
-) -> list[Recording]:
-    """Return each recording with the corrected odometry of its run."""
-    left = {}
-    for run, smoother, undone in zip(_runs(recordings, clocks), smoothers, whole, strict=True):
-        for i, stretch in zip(run, smoother.stretches, strict=True):
-            cut = undone.odometry.only(slice(len(stretch.odometry)))
-            left[i] = stretch if undone is smoother.recording else replace(stretch, odometry=cut)
-    return [left[i] for i in range(len(recordings))]
 
 
 def _robots(motion: Motion, setup: Sequence[Effect]) -> Motion:

@@ -51,7 +51,6 @@ WINDOW_S = 10.0
 def time_windows(recording: Recording, length_s: float = WINDOW_S, phase: float = 0.0) -> Intervals:
     """Return non-overlapping complete windows of a fixed duration, each started at the truth pose.
 
-    length_s : duration of a window
     phase : offset of the first window, as a fraction of a window's length
     """
     return intervals_between(recording, *_time_ends(recording, length_s, phase))
@@ -99,7 +98,6 @@ def _restarted(usable_s: Array, length_s: float) -> NDArray[np.int64]:
 def distance_windows(recording: Recording, length_m: float, phase: float = 0.0) -> Intervals:
     """Return non-overlapping windows of a fixed path length, measured by the odometry, each started at the truth pose.
 
-    length_m : path length of a window
     phase : offset of the first window, as a fraction of a window's length
     """
     inside = np.flatnonzero(recording.within_odometry & recording.truth.known)

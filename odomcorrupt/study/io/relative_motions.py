@@ -110,7 +110,10 @@ def chains_of(motions: Motions, odometry: Samples) -> list[Samples]:
         # An error of one motion would count in all that is computed over longer times.
         breaks = 2 * sum(map(len, lasting)) >= sum(map(len, whole))
         if not breaks:
-            motions, lasting = _weightless(motions, gross), whole
+            plain = np.broadcast_to(np.diag([1e-4, 1e-4, 1e-4]), (len(motions.xyt), 3, 3))
+            covariance = (plain if motions.covariance is None else motions.covariance).copy()
+            covariance[sorted(gross)] = np.diag([_UNKNOWN_M2, _UNKNOWN_M2, _UNKNOWN_M2])
+            motions, lasting = motions._replace(covariance=covariance), whole
         many = "1 motion differs" if len(gross) == 1 else f"{len(gross)} motions differ"
         verb = "is" if len(gross) == 1 else "are"
         said.append(f"{many} grossly from the odometry's and {verb} {'left out' if breaks else 'given no weight'}")
@@ -173,14 +176,6 @@ def _chains(motions: Motions, without: Container[int] = ()) -> list[list[int]]:
                 continue
         chains.append([row])
     return chains
-
-
-def _weightless(motions: Motions, gross: frozenset[int]) -> Motions:
-    """Return the motions with a covariance that removes the weight of some."""
-    plain = np.broadcast_to(np.diag([1e-4, 1e-4, 1e-4]), (len(motions.xyt), 3, 3))
-    covariance = (plain if motions.covariance is None else motions.covariance).copy()
-    covariance[sorted(gross)] = np.diag([_UNKNOWN_M2, _UNKNOWN_M2, _UNKNOWN_M2])
-    return motions._replace(covariance=covariance)
 
 
 class _OnRobot(NamedTuple):

@@ -67,7 +67,6 @@ def without_gaps(odometry: Samples, truth: Samples) -> Samples:
 def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: float | None) -> list[Recording]:
     """Return a recording for each sufficiently long stretch common to odometry and truth.
 
-    name : name of the run in reports
     track_m : distance between the wheels; None if it is not known
 
     Raises

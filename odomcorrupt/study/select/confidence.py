@@ -88,11 +88,7 @@ def chance_odds(errors: float) -> float:
 
 
 def held_out_limit(name: str, nats: float, learned: Learned) -> float:
-    """Return the gain of a part of a model on the fitted data, nats, limited by its gain on held-out data.
-
-    name : name of the part
-    nats : its gain on the fitted data
-    """
+    """Return the gain of a part of a model on the fitted data, nats, limited by its gain on held-out data."""
     most, error = learned.held_out.get(name, (inf, 0.0))
     return min(nats, max(most + HELD_OUT_ERRORS * error, 0.0))
 

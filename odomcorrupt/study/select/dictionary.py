@@ -210,11 +210,9 @@ def linearised(
 
     The evidence is beside what the fit has in any case.
 
-    fit : the current model
     present : effects of the fit that compete, whose terms are the first ones
     terms : the terms of `present`, then all others
     clocks : those that compete; others that are free are in the model in any case
-    dictionary : where the terms are from
     """
     problem, whiten = fit.problem, fit.noise.whitener.whiten
     residual = fit.noise.innovations.copy()

@@ -82,11 +82,8 @@ def learn(
 ) -> Learned:
     """Return the model selected from recordings of one robot, beginning with the given effects.
 
-    recordings : odometry and truth of one robot
     start : effects that are in the model from the beginning and are not dropped
     law_name : the noise law, see `odomcorrupt.model.noise_laws`
-    decisions : prior odds and thresholds of the selection
-    work : progress callbacks of the stages
     """
     (work := work or Work()).begin_clocks()
     start = (*start, *mounting_of(recordings, start))

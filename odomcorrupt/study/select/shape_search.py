@@ -18,7 +18,7 @@ from odomcorrupt.study.select.screening import CoarseDesign, Screened, coarse_ga
 from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm, T, Term, neighbours
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
@@ -135,12 +135,20 @@ class ShapeSearch:
         return term
 
     def maximise(self, term: T) -> T:
-        """Return the term at the nearest maximum over all shape parameters jointly, from exact columns."""
+        """Return the term at the nearest maximum over all shape parameters jointly, from exact columns.
+
+        By a simplex, as edges have no gradient (Nelder and Mead 1965, Computer Journal 7, 308).
+        """
         if not len(term.shape):
             return term
-        return term.with_shape(
-            maximise(lambda v: self.gain(term.with_shape(v.tolist())), term.shape, _SIMPLEX * term.steps).tolist()
-        )
+        start, steps, none = term.shape, _SIMPLEX * term.steps, np.zeros(len(term.shape))
+
+        def moved(by: Array) -> T:
+            return term.with_shape((start + steps * by).tolist())
+
+        simplex = np.vstack((none, np.eye(len(none))))
+        options = {"initial_simplex": simplex, "xatol": _NEAR, "fatol": _WORTH}
+        return moved(minimize(lambda by: -self.gain(moved(by)), none, method="Nelder-Mead", options=options).x)
 
 
 def starts(ranked: Sequence[T], nats: float) -> list[T]:
@@ -164,21 +172,3 @@ def _apart(one: Term, other: Term) -> bool:
     if isinstance(one, BasisTerm) and isinstance(other, BasisTerm) and one.function.form != other.function.form:
         return True
     return one.several_maxima and bool(np.any(np.abs(one.shape - other.shape) > one.steps))
-
-
-def maximise(gain: Callable[[Array], float], start: Array, steps: Array) -> Array:
-    """Return the shape (s,) at the maximum of a gain (nats) nearest to a start.
-
-    By a simplex with first `steps` (s,), as edges have no gradient (Nelder and Mead 1965, Computer Journal 7, 308).
-    """
-    found = minimize(
-        lambda moved: -gain(start + steps * moved),
-        np.zeros(len(start)),
-        method="Nelder-Mead",
-        options={
-            "initial_simplex": np.vstack((np.zeros(len(start)), np.eye(len(start)))),
-            "xatol": _NEAR,
-            "fatol": _WORTH,
-        },
-    )
-    return start + steps * found.x

@@ -139,8 +139,6 @@ def actions_on(motions: Sequence[Motion], *, sideways: bool = False) -> list[Act
     """Return the actions that are possible on these motions: those on single wheels need a track.
 
     Without a track, equal errors of both wheels over time (wear, load) are tried on the twist instead.
-
-    sideways : whether the robot drives sideways
     """
     actions = every_action(sideways=sideways)
     if all(m.track_m is not None for m in motions):

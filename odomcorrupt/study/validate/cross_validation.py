@@ -21,9 +21,6 @@ from odomcorrupt.study.io.recording import ranks_of
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
-    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
 
 _MIN_FRACTION = 0.25
@@ -143,7 +140,15 @@ def _runs(recordings: Sequence[Recording]) -> list[list[int]]:
 
 def _middle(run: Sequence[Recording]) -> tuple[int, str]:
     """Return the stamp of a run's middle in time, or in distance if one of its halves would hardly move, and a note."""
-    stamps, distance_m = _distance(run)
+    every, gone = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
+    for recording in run:
+        inside = recording.within_odometry
+        so_far_m = np.interp(recording.truth_s[inside], recording.odometry_s, distance_along(recording.odometry.xyt))
+        every.append(recording.truth.stamps_ns[inside])
+        gone.append(np.diff(so_far_m, prepend=so_far_m[:1]))
+    stamps = np.concatenate(every)
+    order = np.argsort(stamps, kind="stable")
+    stamps, distance_m = stamps[order], np.cumsum(np.concatenate(gone)[order])
     if not len(stamps):
         raise RecordingError(f"{run[0].name}: odometry and truth have no time in common; check the two clocks")
     middle = len(stamps) // 2
@@ -170,16 +175,3 @@ def _halves(
                 side.append(replace(recording, name=f"{recording.name}, {word} half", truth=truth.only(rows)))
     first, second = (tuple(r for r in side if count_intervals(r, spacing_s) >= LEAST_INTERVALS) for side in sides)
     return first, second
-
-
-def _distance(run: Sequence[Recording]) -> tuple[NDArray[np.int64], Array]:
-    """Return the truth's stamps (n,) in the time of the odometry, sorted, and the distance travelled (n,), m."""
-    stamps, gone = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
-    for recording in run:
-        inside = recording.within_odometry
-        distance_m = np.interp(recording.truth_s[inside], recording.odometry_s, distance_along(recording.odometry.xyt))
-        stamps.append(recording.truth.stamps_ns[inside])
-        gone.append(np.diff(distance_m, prepend=distance_m[:1]))
-    every = np.concatenate(stamps)
-    order = np.argsort(every, kind="stable")
-    return every[order], np.cumsum(np.concatenate(gone)[order])

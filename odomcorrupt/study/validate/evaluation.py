@@ -48,7 +48,6 @@ def process_roots(random: Sequence[Effect], windows: Intervals, motion: Motion) 
     evidence against its size.
 
     random : random effects of a model; those without memory over windows are left out
-    motion : motion of the run
     """
     roots = []
     for effect in random:

@@ -235,7 +235,6 @@ def failures(
 ) -> list[Failure]:
     """Return the parts of a drive with unexpected error rates, the most significant first.
 
-    problem, whitener : of a single recording under a model
     innovations : (3 K,) standardised
     """
     motion = interval_motion(problem)
