@@ -44,7 +44,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.io.recording import Recording
 

@@ -21,7 +21,7 @@ from scipy.stats import chi2, f
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.geometry.se2 import between, compose, wrap
 from odomcorrupt.study.estimate.intervals import memory_over
-from odomcorrupt.study.estimate.noise_likelihood import NoiseFit, NoiseLikelihood, VarianceComponents
+from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood, VarianceComponents
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.regressors import drives_sideways
 from odomcorrupt.study.io.recording import PoseStep
@@ -224,7 +224,8 @@ def _with_right_headings(recording: Recording, approach: Approach) -> Recording:
     askew += [effect_from_values("slope", {"direction": angle}) for angle in (0.0, np.pi / 2.0)]
     columns = np.concatenate([problem.columns(effect) for effect in askew] + [_columns_beside(problem)], axis=2)
     components = VarianceComponents(approach.law, problem.intervals, problem.steps)
-    noise = _fitted(problem, components, columns, _USUAL_M).noise
+    likelihood = _likelihood(problem, components, columns, _USUAL_M)
+    noise = likelihood.maximise(likelihood.initial_guess())
     yaw_rad, error_rad = float(noise.theta[0]), float(np.sqrt(noise.theta_covariance[0, 0]))
     if not yaw_rad**2 > chi2.isf(_ASKEW_LEVEL, 1) * error_rad**2:
         return recording
@@ -247,21 +248,16 @@ def _with_own(recording: Recording, approach: Approach) -> Recording:
     problem = pose_problem([recording], approach=approach)
     columns = _columns_beside(problem)
     components = VarianceComponents(approach.law, problem.intervals, problem.steps)
-    nats = {length: _fitted(problem, components, columns, length).nats for length in _LENGTHS_M}
+    nats: dict[float, float] = {}
+    for length_m in _LENGTHS_M:
+        likelihood = _likelihood(problem, components, columns, length_m)
+        apart = np.log(max(length_m, _NONE_M) / _USUAL_M) / _SPREAD
+        best = likelihood.maximise(likelihood.initial_guess())
+        nats[length_m] = likelihood.posterior(best) - 0.5 * float(apart) ** 2
     return replace(recording, truth_correlation_m=max(nats, key=nats.__getitem__))
 
 
-class _Fitted(NamedTuple):
-    """A noise fit and its log posterior in nats, with the priors of a localisation's errors."""
-
-    noise: NoiseFit
-    nats: float
-
-
-def _fitted(problem: Problem, components: VarianceComponents, columns: Array, length_m: float) -> _Fitted:
-    """Return the maximum-likelihood noise for a given correlation length of the truth's errors along the path."""
+def _likelihood(problem: Problem, components: VarianceComponents, columns: Array, length_m: float) -> NoiseLikelihood:
+    """Return the likelihood of the noise for a given correlation length of the truth's errors along the path."""
     intervals = replace(problem.intervals, memory=memory_over(problem.intervals.way_m, length_m))
-    likelihood = NoiseLikelihood(intervals, components, columns, np.ones(len(intervals)))
-    best = likelihood.maximise(likelihood.initial_guess())
-    apart = np.log(max(length_m, _NONE_M) / _USUAL_M) / _SPREAD
-    return _Fitted(best, likelihood.posterior(best) - 0.5 * float(apart) ** 2)
+    return NoiseLikelihood(intervals, components, columns, np.ones(len(intervals)))

@@ -104,10 +104,8 @@ def _gyro_roots(problem: Problem) -> Array:
 def bias_steps(problem: Problem) -> tuple[Array, Array]:
     """Return columns of the bias of each gyro that is the truth: at the beginning, and steps of its random walk.
 
-    Returns
-    -------
-    start : (K, 3, r) for a bias of 1 rad/s of each of r recordings
-    steps : (K, 3, m) for the steps of a random walk of 1 rad/s/sqrt(s)
+    The first are (K, 3, r) for a bias of 1 rad/s of each of r recordings, the others (K, 3, m) for the steps of a
+    random walk of 1 rad/s/sqrt(s).
     """
     intervals = problem.intervals
     start, steps = [np.zeros((len(intervals), 0))], [np.zeros((len(intervals), 0))]

@@ -322,10 +322,7 @@ class Agreement(NamedTuple):
 def agreement_of(comparison: Comparison) -> Agreement:
     """Return the change from the first to the last model of a comparison, by every measure available.
 
-    Returns
-    -------
-    Agreement
-        Position error after 10 s (m), log likelihood (nats per metre) and absolute trajectory error (m).
+    Measures are position error after 10 s (m), log likelihood (nats per metre) and absolute trajectory error (m).
     """
     first, last = comparison.evaluations[0], comparison.evaluations[-1]
     gain, error = last.nats.gain_per_m, last.nats.gain_error
