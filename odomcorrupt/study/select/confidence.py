@@ -152,8 +152,9 @@ def _loses_slow_turns(learned: Learned) -> bool:
 
 
 def _may_be_dead_band(name: str, learned: Learned) -> bool:
-    """Return whether an effect changes the heading of an odometry whose slow turns a dead band has removed."""
+    """Return whether an effect changes the heading alone of an odometry whose slow turns a dead band has removed."""
     effect = learned.fit.by_name.get(name)
     if effect is None or not _loses_slow_turns(learned):
         return False
-    return any(error_of(effect, motion)[:, 2].any() for motion in learned.fit.problem.motions)
+    travel, turn = (any(error_of(effect, motion)[:, k].any() for motion in learned.fit.problem.motions) for k in (0, 2))
+    return turn and not travel
