@@ -67,10 +67,10 @@ class _Group(IntEnum):
     """Groups of findings in their order; names below even odds are doubtful."""
 
     NAMED = 0
-    NOT_IN_MODEL = 1
-    NOISE = 2
-    DOUBTFUL = 3
-    SET_UP = 4
+    SET_UP = 1
+    NOT_IN_MODEL = 2
+    NOISE = 3
+    DOUBTFUL = 4
 
 
 def findings_brief(
@@ -216,7 +216,7 @@ def _verdict(search: Learned, comparison: Comparison, lines: Sequence[Line]) -> 
         return _PERHAPS.upper(), "warning"
     if search.unexplained and not search.laws:
         # an effect was identified, but a dependence beside it remains unexplained
-        named = any(one.effect.name in search.lacking and one.confidence >= EVEN_ODDS for one in effects_found(search))
+        named = any(one.confidence >= EVEN_ODDS and not one.negligible for one in effects_found(search))
         return "PROBABLY" if named else "UNKNOWN", "warning"
     mixed = len(comparison.evaluations) > 1 and agreement_of(comparison).verdict in ("mixed", "worse")
     return "MISSING", "warning" if mixed else "good"
