@@ -131,10 +131,10 @@ def plant(seed: int, seconds: float = 100.0) -> Case:  # noqa: C901, PLR0912, PL
         headed = True
     right: tuple[str, ...] = ()
     if what == "radius":
-        own, right = own * k, ("wheel radius",)
+        own, right = own * k, ("wheel radius", "turns too far")
         own[:, 2] = own[:, 2]
     elif what == "track":
-        own, right = own * [1.0, 1.0, k], ("wheel separation",)
+        own, right = own * [1.0, 1.0, k], ("wheel separation", "turns too far")
     elif what == "travel":
         own, right = own * [k, k, 1.0], ("travel",)
     elif what == "exchanged":
@@ -180,7 +180,7 @@ def plant(seed: int, seconds: float = 100.0) -> Case:  # noqa: C901, PLR0912, PL
     elif what == "truth upright":
         xyz, right, headed = xyz[:, [1, 2, 0]], ("plane",), False
     elif what == "truth degrees":
-        yaw, right = np.degrees(yaw), ("unit of headings",)
+        yaw, right = np.degrees(yaw), ("steps and headings",)
     elif what == "truth frozen":
         yaw = 0.0 * yaw  # as of satellites: its positions alone are used
     rate = float(rng.choice([50.0, 20.0, 10.0] if headed else [20.0, 10.0, 5.0]))

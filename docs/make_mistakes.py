@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from odomcorrupt.study.io.first_look import PATTERNS
+from odomcorrupt.study.io.first_look import COURSES, PATTERNS
 
 PAGE = Path(__file__).parent / "how-to" / "mistakes.md"
 HEAD = """# Plain mistakes
@@ -33,12 +33,20 @@ The rows are tested in this order, and each is undone before the next test:
 | what is seen | usual causes | change | how the study goes on |
 |---|---|---|---|
 """
+COURSES_HEAD = """
+
+A path and its headings contradict each other in these ways. The one that turns otherwise than the other trajectory is
+wrong:
+
+| the path turns | usual causes, if its headings are wrong | if its path is |
+|---|---|---|
+"""
 FIGURES = {
     "who": "/odom", "other": "/truth", "count": 100, "size": "0.944 m", "width": "often 16 bits", "speed": 310,
-    "unit": "degrees, not radians", "factor": 0.0175, "plane": "x-z", "up": "y", "what": "never change", "off": 12.0,
+    "factor": 0.0175, "plane": "x-z", "up": "y", "what": "never change", "off": 12.0,
     "side": "left", "best": 0.9, "near": 0.1, "shift": 12.0, "corr": -1,
     "fault": "whether the odometry or the truth is wrong, these data do not show", "share": "6%",
-    "how": "drives forwards there", "far": 1000,
+    "how": "drives forwards there", "far": 1000, "few": 8,
     "travels": "3.3 times as far as", "turns": "10 times as far as", "hint": "", "v": 0.303,
     "rate": 0.5, "doubt": "", "lost": 60, "each": "that count left -1.00, right 1.00 times their way",
     "explained": "99.8%",
@@ -49,6 +57,13 @@ FIGURES = {
 }  # fmt: skip
 """Example of each figure."""
 OWN = {
+    "steps and headings": {
+        "times": "57.3 times as far as", "which": "headings turn",
+        "causes": "x += v cos(yaw) dt with yaw in degrees; others below",
+        "then": "its headings are multiplied, or its path is made again of its steps and headings",
+    },
+    "limit": {"top": 0.45, "share": "76%", "far": 2},
+    "publishers": {"share": "50%", "far": 1.4},
     "plane": {"who": "/truth"}, "headings of the truth": {"who": "/truth", "what": "are 0 or 180 deg alone"},
     "repeated poses": {"longest": 25.0, "count": 1},
     "clock rate": {"factor": 2.0}, "stands still": {"share": "50%"},
@@ -61,7 +76,7 @@ OWN = {
     "sideways": {"how": "moves sideways the other way than"}, "late clock": {"who": "/truth", "side": "behind"},
     "turned axes": {"angle": 45}, "never turns one way": {"side": "right"},
     "unit of lengths": {"unit": "millimetres"},
-    "one heading": {"when": "from 70 s to 180 s", "does": "has one heading, or pivots about one wheel,"},
+    "one heading": {"when": "from 70 s to 180 s", "does": "has one heading"},
 }  # fmt: skip
 """Examples of single rows."""
 
@@ -75,7 +90,11 @@ def page() -> str:
             text.format(**figures) for text in (pattern.seen, pattern.causes, pattern.change, pattern.then)
         )
         rows.append(f"| {seen}{' (alone)' if pattern.alone else ''} | {causes} | {change} | {then or 'it ends here'} |")
-    return HEAD + "\n".join(rows) + "\n"
+    courses = (
+        f"| {times} its headings | {' | '.join(one or '-' for one in said)} |"
+        for times, *said in list(COURSES.values())[1:]
+    )
+    return HEAD + "\n".join(rows) + COURSES_HEAD + "\n".join(courses) + "\n"
 
 
 if __name__ == "__main__":

@@ -61,12 +61,17 @@ _LOST = 2.0
 _FAST_MPS, _ROBOT_MPS = 60.0, 10.0
 """Speed that no robot has, and one that few have."""
 _DEGREE = 180.0 / np.pi
-READINGS = {
-    1.0: "", -1.0: "", 1.0 / _DEGREE: "degrees, not radians", -1.0 / _DEGREE: "degrees of a compass (clockwise)",
-    _DEGREE: "read as degrees, but are radians",
-    0.5: "twice the angle (z = sin(yaw), w = cos(yaw))", 2.0: "half of the angle",
-}  # fmt: skip
-"""Factors by which headings may have to be multiplied, and what they are then."""
+COURSES = {
+    1.0: ("like", "", ""),
+    -1.0: ("the other way than", "compass headings; an axis mirrored", "x and y exchanged, or one of them negated"),
+    1.0 / _DEGREE: ("a 57th of", "degrees, not radians", "yaw in radians is converted to radians again"),
+    -1.0 / _DEGREE: ("minus a 57th of", "degrees of a compass (clockwise)", "another axis, and degrees"),
+    _DEGREE: ("57.3 times as far as", "radians that are read as degrees", "x += v cos(yaw) dt with yaw in degrees"),
+    0.5: ("half as far as", "twice the angle (z = sin(yaw), w = cos(yaw))", "half of yaw in sine and cosine"),
+    2.0: ("twice as far as", "half of the angle, as yaw for yaw / 2 in a quaternion", "steps are rotated by yaw twice"),
+    0.0: ("never, unlike", "", "x += v dt: steps that are not rotated by yaw"),
+}
+"""How many times as far as its headings a path may turn; usual causes if the headings are wrong, and if the path is."""
 UNITS = {"feet": 1.0 / 0.3048, "inches": 1.0 / 0.0254, "centimetres": 100.0, "millimetres": 1000.0}
 """Units of length that are confused with metres, per metre."""
 _LENGTHS = {per_m: f"{unit} for metres" for unit, per_m in UNITS.items()}
@@ -153,18 +158,20 @@ def _along_chords(t_s: Array, xy: Array) -> tuple[Array, Array]:
 class Own(NamedTuple):
     """A trajectory by itself.
 
-    agreement : for each of `READINGS`, 1 if its path has the directions of its headings so multiplied, 0 if none
+    agreement : for each of `COURSES`, 1 if its path has the directions of its headings so multiplied, 0 if none
     chords : number of directions compared
     line : 1 if all its directions are along one line
     fixed : 1 if its headings are constant or opposite
     turned : extent of its headings, rad
+    askew : angle of its path to its headings, but for half a turn, rad, 0 if it does not follow them
     """
 
-    agreement: tuple[float, ...] = (0.0,) * len(READINGS)
+    agreement: tuple[float, ...] = (0.0,) * len(COURSES)
     chords: int = 0
     line: float = 0.0
     fixed: float = 0.0
     turned: float = 0.0
+    askew: float = 0.0
 
     @property
     def straight(self) -> bool:
@@ -182,13 +189,30 @@ def own_of(path: Samples) -> Own:
     Chords of a path point along its headings or straight backwards, up to a constant mounting angle, so twice their
     difference is constant.
     """
-    if not path.headed:
-        return Own()
     course, middle = _chords(path.xyz[:, :2])
+    line = _concentration(2.0 * course)
+    if not path.headed:
+        return Own(line=line)
     readings = [path.yaw_rad[middle], np.unwrap(path.yaw_rad)[middle]]
-    agreement = [max(_concentration(2.0 * (course - k * yaw)) for yaw in readings) for k in READINGS]
-    line, fixed = _concentration(2.0 * course), _concentration(2.0 * path.yaw_rad)
-    return Own(tuple(agreement), len(course), line, fixed, float(np.ptp(np.unwrap(path.yaw_rad))))
+    agreement = [max(_concentration(2.0 * (course - k * yaw)) for yaw in readings) for k in COURSES]
+    # along a chord, headings in degrees have all directions
+    agreement[list(COURSES).index(_DEGREE)] = _courses(path, _DEGREE)[1]
+    fixed = _concentration(2.0 * path.yaw_rad)
+    askew = float(np.angle(np.mean(np.exp(2j * (course - path.yaw_rad[middle]))))) / 2.0 if len(course) else 0.0
+    askew *= agreement[0] > _FOLLOWS
+    return Own(tuple(agreement), len(course), line, fixed, float(np.ptp(np.unwrap(path.yaw_rad))), askew)
+
+
+def _courses(path: Samples, factor: float, beside: Array | float = 0.0) -> tuple[Array, float]:
+    """Return a multiple of the headings at that part of each step (n - 1,) where it fits steps best, and how well.
+
+    beside : directions of the steps from that heading, rad, of a robot that drives sideways
+    """
+    step = np.diff(path.xyz[:, :2] @ [1.0, 1j]) * np.exp(-1j * np.asarray(beside))
+    yaws = factor * np.array((path.yaw_rad, np.unwrap(path.yaw_rad)))
+    courses = [yaw[:-1] + part * np.diff(yaw) for yaw in yaws for part in (0.0, 0.5, 1.0)]
+    fits = [_concentration(2.0 * (np.angle(step) - course)[moving(np.abs(step))]) for course in courses]
+    return courses[best := int(np.argmax(fits))], fits[best]
 
 
 def _chords(xy: Array) -> tuple[Array, NDArray[np.int64]]:
@@ -320,10 +344,23 @@ class Look:
         turned = np.interp(at_s, other.seconds_since(origin), np.unwrap(other.yaw_rad))
         return _concentration(np.diff(path.yaw_rad) - factor * np.diff(turned))
 
+    def directions(self, i: int) -> Array | float:
+        """Return in which direction from its heading the other one drives in each step of a path, 0 if about ahead."""
+        motion, path = self.motions[:2][1 - i], self.paths[i]
+        follows = max(self.own[1 - i].fixed, self.own[i].agreement[0]) > _FOLLOWS
+        if follows or motion[:, 1].std() < 0.3 * motion[:, 0].std():
+            return 0.0
+        at_s = path.seconds_since(int(self.paths[0].stamps_ns[0]))
+        middle_s = (at_s[1:] + at_s[:-1] - self.window_s) / 2.0
+        ahead, aside = (np.interp(middle_s, self.motions[2][i], x) for x in motion[:, :2].T)
+        return np.asarray(np.arctan2(aside, ahead))
+
     @property
     def agree(self) -> bool:
         """Whether travel and turns agree in usual windows, beside what a lever arm or a slight curvature changes."""
         travel, turn = self.sizes
+        if not self.paths[1].headed and abs(self.own[0].askew) > _ASKEW:
+            return False
         close = turn[2] < _CLOSE * max(*turn[:2], _CURVED_RADPM * travel[:2].min())
         return bool(close and travel[2] < _CLOSE * max(*travel[:2], _ARM_M * turn[:2].min()))
 
@@ -392,7 +429,8 @@ def _linear(x: Array, y: Array) -> tuple[Array, float]:
         matrix = np.linalg.lstsq(x[used], y[used], rcond=None)[0].T
         off = np.abs(y - x @ matrix.T)
         used = (off <= 6.0 * np.maximum(np.median(off, axis=0), least)).all(axis=1)
-    explained = 1.0 - np.sum(off[used] ** 2, axis=0) / np.maximum(np.sum(y[used] ** 2, axis=0), 1e-12)
+    size = np.sum(y[used] ** 2, axis=0)
+    explained = 1.0 - np.sum(off[used] ** 2, axis=0) / np.maximum(size, 1e-3 * size.max() + 1e-12)
     return np.asarray(matrix, dtype=np.float64), float(explained.min()) * float(used.mean() > _CLEAR)
 
 
@@ -446,7 +484,7 @@ def first_look(look: Look) -> FirstLook:
         said = "its headings never change: its positions alone are used"
         look = look.having(1, look.paths[1].without_headings().noted(said))
     for pattern in PATTERNS:
-        if pattern.name == "overflow":  # clocks are right from here on
+        if pattern.name == "inverse":  # clocks are right from here on
             check_pair(*look.paths)
         if pattern.name == "wheel gains" and look.agree:  # all others are of motions that differ
             break
@@ -502,59 +540,81 @@ def _by(matrix: Array | Sequence[float]) -> Callable[[Samples], Samples]:
     return lambda path: _moved_by(path, increments(path.trajectory().xyt).rows @ whole.T)
 
 
-def _mirrored_headings(look: Look, i: int) -> Figures | None:
-    """Find headings that turn the other way than the path; what contradicts the other trajectory is mirrored."""
-    own = look.own[i]
-    # how many times worse each path follows its headings than their negatives
-    doubts = [(1.0 - one.agreement[0]) / (1.001 - one.agreement[1]) for one in look.own]
-    alone = own.agreement[1] > _FOLLOWS and (own.agreement[0] < _CLEAR or doubts[i] > 4.0 > 4.0 * doubts[1 - i])
-    if own.chords < _FEWEST or not alone or _turn_between(look.paths[i]) > _LOST:
+def _factor_of_course(look: Look, i: int, beside: Array | float) -> float | None:
+    """Return how many times as far as its headings a path turns, one of `COURSES`, None if as far or if unclear.
+
+    beside : directions of its steps from its heading, 0 if it drives ahead
+    """
+    own, other, path, turn = look.own[i], look.own[1 - i], look.paths[i], look.scales[1]
+    sideways, line = isinstance(beside, np.ndarray), min(own.line, other.line) > _FOLLOWS
+    headed = path is not look.paths[1 - i] and all(p.headed for p in look.paths)
+    fits = tuple(_courses(path, k, beside)[1] for k in COURSES) if sideways else own.agreement
+    # between messages an angle in degrees turns as 57.3 times the other one does, also if it has no way along the path
+    unit = not turn.sure or abs(np.log(turn.value ** (2 * i - 1) / _DEGREE)) < _CLOSE
+    off = [1.0 - look.turns_by(i, k) for k in (_DEGREE, 1.0)] if headed and unit and fits[0] < _FOLLOWS else [1.0, 1.0]
+    if off[0] < min(1.0 - _FOLLOWS, off[1] / 3.0):
+        return 1.0 / _DEGREE
+    # all factors fit two paths along one line, whose turns show it; zero fits one of them
+    best = int(np.argmax(fits) if sideways or own.line < _FOLLOWS else len(fits) - 1)
+    if line and headed and turn.sure:
+        best = int(np.argmin(np.abs(np.array(list(COURSES)) - turn.value)))
+    k = list(COURSES)[best]
+    # how many times worse each path follows its headings than this multiple of them
+    doubts = [(1.0 - one.agreement[0]) / (1.001 - one.agreement[best]) for one in look.own]
+    wrong = fits[0] < _CLEAR or (k != 0.0 and not sideways and doubts[i] > 4.0 > 4.0 * doubts[1 - i])
+    few = own.chords < _FEWEST or (k == 0.0 and (own.turned < 1.0 or line))
+    unlike = few or not wrong or fits[best] < _FOLLOWS or (k == -1.0 and _turn_between(path) > _LOST)
+    return None if unlike else k
+
+
+def _steps_and_headings(look: Look, i: int) -> Figures | None:
+    """Find a path that turns otherwise than its headings; what turns as the other trajectory does is right."""
+    path, alone = look.paths[i], look.paths[i] is look.paths[1 - i]
+    headed = not alone and all(p.headed for p in look.paths)
+    # a robot that drives sideways follows its heading in the directions that the other one has in its own frame
+    beside = look.directions(i) if headed else 0.0
+    if (k := _factor_of_course(look, i, beside)) is None:
         return None
-    # the path by itself turns as the other trajectory does, or is mirrored
-    axis = 1.0 if look.having(i, look.paths[i].without_headings()).correlations[2, 2] > 0.0 else -1.0
-    return {"i": i, "undo": lambda p: replace(p, xyz=p.xyz * [1.0, axis, 1.0], yaw_rad=-axis * p.yaw_rad)}
+    yaw = path.yaw_rad if np.ptp(path.yaw_rad) > 2.0 * np.pi + 0.01 else np.unwrap(path.yaw_rad)
+    step = np.diff(path.xyz[:, :2] @ [1.0, 1j]) * np.exp(-1j * _courses(path, k, beside)[0])
+    # how far the path is turned from these headings, but for half a turn
+    askew = float(np.angle(np.mean((step * np.exp(-1j * np.asarray(beside))) ** 2))) / 2.0
+    turned, sideways = abs(askew) > _ASKEW, isinstance(beside, np.ndarray)
+    step = step * np.exp(-1j * askew * (turned or not sideways))
+    step = np.conj(step) if k == -1.0 else step
+    rows = np.column_stack((step.real, step.imag * sideways, wrap(np.diff(path.yaw_rad))))
+    mended = [replace(path, yaw_rad=k * yaw + askew * turned), _moved_by(path, rows)]
+    if headed:
+        back = [look.having(i, one).correlations[0, 0] < -_CLEAR for one in mended]
+        mended = [replace(mended[0], yaw_rad=mended[0].yaw_rad + np.pi * back[0]),
+                  _moved_by(path, rows * [-1.0, -1.0, 1.0]) if back[1] else mended[1]]  # fmt: skip
+    else:
+        mended[0] = _ahead(mended[0])
+    turns = [look.having(i, one).scales[1] for one in mended]
+    far = [abs(float(np.log(turn.value))) if turn.sure else np.inf for turn in turns]
+    right = int(k == 0.0 or far[1] < far[0])
+    times, *causes = COURSES[k]
+    then = (f"its headings are multiplied by {k:.3g}", "its path is made again of its steps and headings")[right]
+    if k == 1.0 / _DEGREE and not right and np.exp(far[0]) > _WRONG:  # several turns between messages
+        mended[0], then = path.without_headings(), "its positions alone are used"
+    said = "; ".join(filter(None, causes)) if alone else causes[right]
+    which = ("path turns", "headings turn")[right]
+    return {"i": i, "times": times, "which": which, "causes": said, "then": then, "undo": lambda _: mended[right]}
 
 
-def _unit_of_headings(look: Look, i: int) -> Figures | None:
-    """Find headings in another unit by the path, or by the odometry's turns if the path has other directions."""
-    own = look.own[i]
-    best, factor = max(zip(own.agreement, READINGS, strict=True))
-    # a path along one line shows no unit
-    wrong = own.chords >= _FEWEST and own.agreement[0] <= _CLEAR and own.line <= _FOLLOWS <= best
-    if not READINGS[factor] or not wrong:
-        return None
-
-    def undo(path: Samples) -> Samples:
-        course, middle = _chords(path.xyz[:, :2])
-        readings = (factor * np.unwrap(path.yaw_rad), factor * path.yaw_rad)
-        fits = [round(_concentration(2.0 * (course - yaw[middle])), 6) for yaw in readings]
-        return _ahead(replace(path, yaw_rad=readings[int(np.argmax(fits))]))
-
-    return {"i": i, "factor": factor, "unit": READINGS[factor], "undo": undo}
-
-
-def _degrees_in_cosines(look: Look) -> Figures | None:
-    """Find odometry that goes along its heading in degrees, taken as radians, and turns as the truth does."""
-    path = look.paths[0]
-    step = np.diff(path.xyz[:, 0] + 1j * path.xyz[:, 1])
-    yaws = np.degrees((path.yaw_rad, np.unwrap(path.yaw_rad)))
-    courses = [yaw[:-1] + part * np.diff(yaw) for yaw in yaws for part in (0.0, 0.5, 1.0)]
-    fits = [_concentration(2.0 * (np.angle(step) - course)[moving(np.abs(step))]) for course in courses]
-    along = np.real(step * np.exp(-1j * courses[int(np.argmax(fits))]))
-    mended = _moved_by(path, np.column_stack((along, 0.0 * along, wrap(np.diff(path.yaw_rad)))))
-    turn = look.having(0, mended).scales[1]
-    right = max(fits) > _FOLLOWS and look.own[0].agreement[0] < _CLEAR and turn.sure and not turn.beyond(_WRONG)
-    return {"undo": lambda _: mended} if right else None
-
-
-def _folded(look: Look, i: int) -> Figures | None:
-    """Find headings of half a circle alone: at its ends they jump."""
+def _flips(look: Look, i: int) -> Figures | None:
+    """Find headings that jump by half a turn while the path goes on."""
     path = look.paths[i]
-    jumps = np.abs(np.diff(path.yaw_rad)) > 0.75 * np.pi
-    half = path.headed and np.ptp(path.yaw_rad) < np.pi + 0.05 and look.own[i].fixed < _FOLLOWS
+    turn, step = np.abs(wrap(np.diff(path.yaw_rad))), np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
+    around = np.maximum(np.append(turn[1:], 0.0), np.append(0.0, turn[:-1]))
+    jumps = np.flatnonzero((turn > np.pi - 0.35) & (around < 0.35) & (step < 3.0 * np.percentile(step, 95.0)))
+    # headings that are courses jump where a robot backs up
+    ends = np.clip(jumps + np.array(((-_FEWEST,), (0,), (1,), (1 + _FEWEST,))), 0, len(step))
+    before, _, after = np.diff(path.xyz[ends, :2], axis=0)
+    on = np.sum(before * after, axis=1) > -0.5 * np.prod(np.linalg.norm((before, after), axis=2), axis=0)
+    few = look.own[i].fixed > _FOLLOWS or not len(jumps) or on.mean() < 0.5
     undo = lambda path: _ahead(replace(path, yaw_rad=np.unwrap(path.yaw_rad, period=np.pi)))  # noqa: E731
-    count = int(jumps.sum())
-    return {"i": i, "count": count, "undo": undo} if half and 1 < count < 0.5 * len(jumps) else None
+    return {"i": i, "count": len(jumps), "undo": undo} if path.headed and not few else None
 
 
 def _ahead(path: Samples) -> Samples:
@@ -589,11 +649,16 @@ def _unrelated(look: Look, i: int) -> Figures | None:
     few = min(own.chords, other.chords) < 3 * _FEWEST or _linear(*look.motions[1::-1])[1] > _FOLLOWS
     if few or max(own.agreement) > _CLEAR or other.agreement[0] < _FOLLOWS:
         return None
-    degrees = i and look.turns_by(1, _DEGREE) > max(_CLEAR, look.turns_by(1, 0.0))
-    if not degrees and abs(look.correlations[2, 2]) > _UNCLEAR:
+    if abs(look.correlations[2, 2]) > _UNCLEAR:
         return None
     what = "are 0 or 180 deg alone" if own.fixed > _FOLLOWS else "turn otherwise"
-    return {"i": i, "what": f"{what} (degrees given to a function of radians)" if degrees else what, **undo}
+    return {"i": i, "what": what, **undo}
+
+
+def _never_turns(look: Look) -> Figures | None:
+    own, real, _ = look.sizes[1]
+    still = look.own[0].straight or (own < 0.1 * real and abs(look.correlations[2, 2]) < _UNCLEAR)
+    return {} if still and real > _FEW_TURNS else None
 
 
 def _upright(look: Look) -> Figures | None:
@@ -607,6 +672,31 @@ def _upright(look: Look) -> Figures | None:
     plane = "-".join(sorted("xyz"[k] for k in order[:2]))
     undo = lambda path: replace(path, xyz=path.xyz[:, order]).without_headings()  # noqa: E731
     return {"i": 1, "up": "xyz"[up], "plane": plane, "undo": undo}
+
+
+def _publishers(look: Look, i: int) -> Figures | None:
+    """Find poses that jump and come back within some messages all the time."""
+    xy = look.paths[i].xyz[:, :2]
+    n = len(xy) - _FEWEST
+    far = np.linalg.norm([xy[k : n + k] - xy[:n] for k in range(1, _FEWEST)], axis=2) if n > 0 else np.zeros((2, 1))
+    back = (far[1:].min(axis=0) < 0.1 * far[0]) & (far[0] > 0.02 * np.linalg.norm(xy.std(axis=0)))
+    share = f"{back.mean():.0%}"
+    return (
+        {"i": i, "share": share, "few": _FEWEST, "far": float(np.median(far[0][back]))} if back.mean() > 0.2 else None
+    )
+
+
+def _inverse(look: Look, i: int) -> Figures | None:
+    """Find poses whose inverses move as the other trajectory does."""
+
+    def undo(path: Samples) -> Samples:
+        turned = -(path.xyz[:, :2] @ [1.0, 1j]) * np.exp(-1j * path.yaw_rad)
+        return replace(path, xyz=np.column_stack((turned.real, turned.imag, path.xyz[:, 2])), yaw_rad=-path.yaw_rad)
+
+    if abs(look.correlations[0, 0]) > _CLEAR or not all(p.headed for p in look.paths):
+        return None
+    c = look.having(i, undo(look.paths[i])).correlations
+    return {"i": i, "undo": undo} if min(c[0, 0], c[2, 2]) > _FOLLOWS else None
 
 
 def _rate(look: Look) -> Figures | None:
@@ -760,10 +850,14 @@ def _turned_axes(look: Look) -> Figures | None:
     apart = np.angle(ways[1] * np.conj(ways[0]))[used]
     angle = float(np.angle(np.mean(np.exp(1j * apart)))) if len(apart) else 0.0
     clear = len(apart) >= _FEWEST and _concentration(apart) > _FOLLOWS and look.correlations[2, 2] > -_CLEAR
-    if not look.paths[1].headed or not clear or not _ASKEW < abs(angle) < np.pi - _ASKEW / 2.0:
+    if not look.paths[1].headed:
+        angle = -look.own[0].askew
+    elif not clear:
+        return None
+    if not _ASKEW < abs(angle) < np.pi - _ASKEW / 2.0:
         return None
     aside = [float(np.std(x.imag) / np.std(x)) for x in ways]
-    i = int(aside[1] > max(aside[0], _UNCLEAR))
+    i = int(aside[1] > max(aside[0], _UNCLEAR)) if look.paths[1].headed else 0
     turn = angle if i else -angle
     words = {"angle": f"{abs(np.degrees(turn)):.0f}", "side": "left" if turn > 0.0 else "right"}
     return {"i": i, **words, "undo": lambda p: replace(p, yaw_rad=p.yaw_rad + turn)}
@@ -912,6 +1006,29 @@ def _one_encoder(look: Look) -> Figures | None:
     return None
 
 
+def _limit(look: Look) -> Figures | None:
+    """Find odometry that keeps its largest speed where the truth is faster, and agrees below."""
+    here, there = (np.abs(x[:, 0]) for x in look.windows[:2])
+    top = float(np.percentile(here, 98.0))
+    at, below = here > 0.97 * top, (here > _MOVING * top) & (here < 0.8 * top)
+    if below.sum() < _FEWEST or at.mean() < _MOVING:
+        return None
+    far, usual = np.percentile(there[at] / here[at], (10.0, 50.0)), float(np.median(there[below] / here[below]))
+    if not 1.0 - _CLOSE < usual < 1.0 + _CLOSE or far[0] < usual + 0.05 or far[1] < usual + _CLOSE:
+        return None
+    return {"top": top / look.window_s, "far": float(far[1]), "share": f"{at.mean():.0%}"}
+
+
+def _step_of_speeds(v: Array) -> float | None:
+    """Return the step of which speeds (n,) by a clock that jitters are multiples, None if of none."""
+    v = np.abs(v[moving(v)])
+    for step in np.percentile(v, 90.0) / np.linspace(3.0, 30.0, 400) if len(v) else ():
+        levels = np.unique(np.rint(v / step), return_counts=True)[1]
+        if np.sum(levels > 0.03 * len(v)) > 3 and np.abs(np.mean(np.exp(2j * np.pi * v / step))) > 0.8:
+            return float(step)
+    return None
+
+
 def _whole_steps(look: Look) -> Figures | None:
     """Find increments or speeds that are multiples of a step, and by which the truth travels farther than they say."""
     path, (here, there, (starts, _)) = look.paths[0], look.windows
@@ -920,7 +1037,8 @@ def _whole_steps(look: Look) -> Figures | None:
     per = dt_s if speeds else np.ones(len(dt_s))
     # odometry that hardly turns has few steps of turns, from which no step is refined
     turns = np.abs(rows[:, 2] / per)[np.abs(rows[:, 2]) > 1e-9]
-    step, turn = step_of(rows[:, 0] / per) or 0.0, float(turns.min(initial=np.inf))
+    step = step_of(rows[:, 0] / per) or (_step_of_speeds(rows[:, 0] / per) if speeds else None) or 0.0
+    turn = float(turns.min(initial=np.inf))
     turn = turn if len(turns) and np.mean(np.abs(turns / turn - np.rint(turns / turn)) < 0.02) > 0.99 else 0.0
     if step <= 0.01 * np.percentile(np.abs(rows[:, 0] / per), 90.0) or not look.scales[0].sure or look.sideways:
         return None
@@ -934,9 +1052,12 @@ def _whole_steps(look: Look) -> Figures | None:
     lost, error = float((inverse @ design.T @ off[used])[1]) / noise, float(np.sqrt(inverse[1, 1]))
     # each of n wheels loses half a step on average, and travel has steps of an n-th of theirs
     wheels = min((1, 2, 4), key=lambda n: abs(np.log(max(lost, 1e-3) / n * 2.0)))
+    if turn:  # sum and difference of two whole numbers are both even or both odd
+        odd = np.rint(rows[:, 0] / per / step) + np.rint(rows[:, 2] / per / turn)
+        wheels = 2 if np.mean(odd % 2.0) < 0.01 else 1
     # increments of ticks lose nothing, and speeds that are rounded neither
-    near = abs(lost - wheels / 2.0) < max(0.2, 0.1 * wheels, 2.5 * error)
-    if lost < max(0.25, 2.5 * error) or not near or (turn and wheels == 1 and not speeds):
+    near = abs(lost - wheels / 2.0) < max(0.2, 0.1 * wheels, min(2.5 * error, 0.3))
+    if lost < max(0.25, 2.5 * error) or not near:
         return None
     mended = rows + np.sign(rows) * per[:, None] * lost * np.array((step, 0.0, turn))
     said = f"{'speeds' if speeds else 'increments'} are whole steps of {1e3 * wheels * step:.3g} mm{'/s' * speeds}"
@@ -945,14 +1066,21 @@ def _whole_steps(look: Look) -> Figures | None:
 
 def _whole_positions(look: Look, i: int) -> Figures | None:
     """Find positions that are multiples of a step which is not small beside the travel between messages."""
-    xy = look.paths[i].xyz[:, :2]
+    path, xy = look.paths[i], look.paths[i].xyz[:, :2]
     low, high = sorted(step_of(x - x[0]) or 0.0 for x in xy.T)
-    far = float(np.percentile(np.linalg.norm(np.diff(xy, axis=0), axis=1), 95.0))
-    # a drive along the axes at one speed has steps of one length
-    if low <= 0.2 * far or high > 1.01 * low or len(np.unique(np.rint(np.abs(np.diff(xy, axis=0)) / low))) < 3:
+    # usual travel between messages, of some seconds, so that a step is a small part of it
+    every = min(max(int(4.0 * len(path) / path.span_s), 1), len(path) // 2)
+    far = float(np.percentile(np.linalg.norm(xy[every:] - xy[:-every], axis=1), 90.0)) / every
+    if not low > 0.2 * far > 0.0 or high > 1.01 * low:
         return None
-    few, words = int(10.0 * low / far) + 1, {"step": f"{1e3 * low:.3g} mm", "far": 1e3 * far}
-    return {"i": i, "few": few, **words, "undo": lambda p: p.only(np.arange(0, len(p), few))}
+    count = np.abs(np.rint(np.diff(xy, axis=0) / low))
+    # a drive along the axes at one speed has steps of one length, one after the other
+    moves = np.any(count > 0.0, axis=1)
+    if len(np.unique(count)) < 3 and np.mean(np.diff(moves)[moves[1:] | moves[:-1]]) < 0.5:
+        return None
+    few = int(10.0 * low / far) + 1
+    undo = {"undo": lambda p: p.only(np.arange(0, len(p), few))} if len(path) > 2 * FEWEST * few else {}
+    return {"i": i, "few": few, "step": f"{1e3 * low:.3g} mm", "far": 1e3 * far, **undo}
 
 
 def _repeated(look: Look) -> Figures | None:
@@ -1001,27 +1129,51 @@ def _without(look: Look, i: int, lost: NDArray[np.bool_]) -> Callable[[Samples],
 def _one_curvature(look: Look) -> Figures | None:
     """Find odometry that keeps one curvature for long, as of a dead gyro or wheel, while the truth turns otherwise."""
     _, there, (starts, _) = look.motions
-    here = travel_of(look.paths[0], int(look.paths[0].stamps_ns[0])).within(starts, look.window_s)
+    path = travel_of(look.paths[0], int(look.paths[0].stamps_ns[0]))
+    here = path.within(starts, look.window_s)
+    # poses that are left out make one even motion
+    seen = np.diff(np.searchsorted(path.t_s, (starts, starts + look.window_s)), axis=0)[0] > 1
     moves, usual = moving(np.hypot(here[:, 0], here[:, 1])), int(40.0 / look.window_s)
-    bends = np.sort((here[:, 2] / np.where(here[:, 0], here[:, 0], np.inf))[moves & (np.abs(here[:, 2]) > 1e-6)])
-    dense = [float(bends[int(np.argmin(bends[usual:] - bends[:-usual])) + usual // 2])] if len(bends) > usual else []
-    for bend in (0.0, *dense):
-        off = there[:, 2] - bend * there[:, 0]
-        turns = moving(off) & moves
-        runs = runs_of(np.asarray(np.abs(here[:, 2] - bend * here[:, 0]) < 1e-6 + 1e-3 * np.abs(here[:, 2])))
+    turning = np.abs(here[:, 2]) > 1e-6
+    ahead = turning & moves & (np.abs(here[:, 0]) > np.abs(here[:, 1]))
+    bend = _densest(here[ahead, 2] / here[ahead, 0], usual)
+    rate = _densest(here[turning, 2], usual)
+    arcs = f"drives arcs of {1.0 / max(abs(bend), 1e-6):.2g} m to the {'left' if bend > 0.0 else 'right'}"
+    quiet = 1e-6 + 0.02 * float(np.percentile(np.abs(there[:, 2]), 95.0))
+    turned = there[:, 2]
+    for does, own, off in (
+        ("has one heading", 0.0 * turned, turned),
+        (f"{arcs}, as about a wheel that stands,", bend * here[:, 0], turned - bend * there[:, 0]),
+        (f"turns at {np.degrees(rate) / look.window_s:.2g} deg/s", rate + 0.0 * turned, turned),
+    ):
+        turns = moving(off) & seen & (moves | ~own.any())
+        runs = runs_of(np.asarray(np.abs(here[:, 2] - own) < quiet))
         a, b = max(runs, key=lambda run: turns[run[0] : run[1]].sum(), default=(0, 0))
         many = turns[a:b].sum()
         few = a == b or many * look.window_s < 40.0 or turns.sum() - many < _FEWEST
-        # noise of the truth's headings does not add up, a gyro's dead band has no usual turns, and poses that are left
-        # out make one even motion
-        few = few or np.ptp(here[a:b, 0]) < 1e-9 or min(look.own[0].turned, np.ptp(off[a:b].cumsum()) / 4.0) < 1.0
-        if few or abs(_correlations(here[a:b], there[a:b])[2, 2]) > _FOLLOWS:  # commands of even curvature
+        # noise of the truth's headings does not add up, and a gyro's dead band has no usual turns
+        few = few or min(look.own[0].turned, np.ptp(off[a:b].cumsum()) / 4.0) < 1.0
+        lost = np.zeros(len(starts), dtype=bool)
+        lost[a:b] = True
+        # commands of even curvature follow there, and other mistakes do not elsewhere
+        if few or abs(_correlations(here[lost], there[lost])[2, 2]) > _FOLLOWS:
             continue
-        lost = (starts >= starts[a]) & (starts <= starts[b - 1])
+        if look.paths[1].headed and abs(_correlations(here[~lost], there[~lost])[2, 2]) < _CLEAR:
+            continue
         when = f"from {starts[a]:.0f} s to {starts[b - 1] + look.window_s:.0f} s"
-        does = "has one heading" if bend == 0.0 else f"pivots about its {'left' if bend > 0.0 else 'right'} wheel"
         return {"when": when, "does": does, "undo": _without(look, 0, lost)}
     return None
+
+
+def _densest(x: Array, count: int) -> float:
+    """Return the value at which some of values (n,) lie closest together, 0 if the values of either sign do."""
+    x = np.sort(x)
+    if len(x) <= count:
+        return 0.0
+    at = float(x[int(np.argmin(x[count:] - x[:-count])) + count // 2])
+    # a limit is reached on both sides
+    same, other = (np.sum(np.abs(x - k * at) < 0.02 * abs(at)) for k in (1.0, -1.0))
+    return at if other < 0.2 * same else 0.0
 
 
 def _turn_between(path: Samples) -> float:
@@ -1080,6 +1232,11 @@ def _ratios(look: Look, travel: bool, turn: bool, *, alike: bool = False) -> Fig
         return None
     gains = v.value if travel else 1.0, v.value if alike else w.value if turn else 1.0
     left, right = (look.ratio(2, side) for side in (1, -1))
+    if turn and abs(left.value - right.value) > 0.5 * w.value and look.paths[1].headed:
+        # turns that differ by a part of the travel, as by a steering's zero, are no factor
+        part, explained = _linear(look.windows[0][:, ::2], look.windows[1][:, 2:])
+        if explained > _FOLLOWS and abs(np.log(max(part[0, 1], 1e-3))) < np.log(_WRONG):
+            return None
     beside = ", left and right alike" if left.sure and right.sure else ""
     if beside and abs(left.value / right.value - 1.0) > 2.0 * _ALIKE:
         beside = f", left {left.value:.3g} and right {right.value:.3g} times"
@@ -1129,31 +1286,29 @@ PATTERNS = (
             "{who} repeats its last pose for up to {longest} s while {other} moves, and then jumps ({count} times)",
             "a driver that is late or stalls, and publishes its last pose again", "publish each pose once",
             "the repeated poses are left out", _repeated),
+    Pattern("inverse", "{who}: the inverses of its poses, not these, move as {other} does",
+            "the fixed frame in the moving one is published (base -> odom, map in camera)",
+            "invert the transform before publishing", "its poses are inverted", _inverse, alone=True),
     Pattern("overflow", "{who}: {count} jumps of the same size, {size} of one wheel",
             "a counter overflows: {width}", "subtract counts as signed integers of the counter's width",
             "the jumps are taken out", _overflows, alone=True),
+    Pattern("publishers", "{who}: {share} of its poses jump by {far} m and back within {few} messages",
+            "several robots or publishers on one topic", "give each a topic of its own", "",
+            _publishers, alone=True),
     Pattern("quaternion without w",
             "{who}: its orientations are no unit quaternions (w is 0 or 1 in all): its headings are wrong",
             "w was never set beside z = sin(yaw / 2)",
             "set w = cos(yaw / 2), or make poses of its twists with `odomcorrupt integrate`", "",
             lambda look, i: {"i": i} if look.paths[i].no_w else None, alone=True),
-    Pattern("degrees in cosines", "{who}: its steps go along 57.3 times its heading, and it turns as {other} does",
-            "x += v cos(yaw) dt with yaw in degrees", "convert to radians before cos and sin",
-            "its path is made again of its steps and headings", _degrees_in_cosines),
-    Pattern("unit of headings", "{who}: its headings, not its path, are of another unit: {unit}",
-            "degrees given to a function of radians, or the other way round; a column with the wrong name; yaw for "
-            "yaw / 2 in a quaternion",
-            "name the column yaw_deg or yaw_rad, as it is; for a bag, convert before making quaternions",
-            "its headings are multiplied by {factor}", _unit_of_headings, alone=True),
-    Pattern("folded headings", "{who}: its headings are of half a circle alone, and jump by 180 deg {count} times",
-            "an arc cosine or tangent of one argument; an angle modulo 180 deg", "take atan2 of both components",
-            "the jumps are undone", _folded, alone=True),
+    Pattern("steps and headings", "{who}: its path turns {times} its headings, and its {which} as {other}",
+            "{causes}", "convert angles once, before quaternions, sines and cosines; turn a compass by 90 deg - yaw; a "
+            "column's name says its unit (yaw_deg, yaw_rad)", "{then}", _steps_and_headings, alone=True),
+    Pattern("flips", "{who}: its headings jump by 180 deg while its path goes on ({count} times)",
+            "an arc cosine or tangent of one argument; an angle modulo 180 deg; markers that a tracker confuses",
+            "take atan2 of both components; make markers asymmetric", "the jumps are undone", _flips, alone=True),
     Pattern("Euler steps", "{who}: each step goes along its heading at the step's {at}, and turns by up to {most} deg",
             "x += v cos(yaw) dt at a low rate", "use yaw halfway, or integrate at the rate of the wheels",
             "steps are taken as arcs, and not in the model", _euler, alone=True),
-    Pattern("mirrored headings", "{who}: its headings turn the other way than its path does",
-            "an axis is mirrored; compass headings", "turn a compass by 90 deg - yaw, or flip the axis",
-            "mirrored so that it turns as {other} does", _mirrored_headings, alone=True),
     Pattern("plane", "{who}: moves in its {plane} plane, not in x-y: {up} points up there",
             "axes of a camera or of a game", "turn it so that z points up",
             "turned so; its positions alone are used", _upright),
@@ -1165,7 +1320,7 @@ PATTERNS = (
             lambda look: _unrelated(look, 0)),
     Pattern("never turns", "{who} never turns, {other} does",
             "a steering angle or yaw rate that stays 0; one counter read for both wheels", _RECORD, "",
-            lambda look: {} if look.own[0].straight and look.sizes[1][1] > _FEW_TURNS else None),
+            _never_turns),
     Pattern("late clock",
             "{who}: its clock is {off} s {side} the odometry's (motions correlate by {best} there, by {near} as they "
             "are)", "clocks that are not synchronised; one of the files began later", "give --truth-shift {shift}", "",
@@ -1186,6 +1341,9 @@ PATTERNS = (
             "steps farther each time", "integers in a loop or a protocol, cut off",
             "keep the remainder for the next cycle, or take floating point",
             "half a step is added to each wheel, and not in the model", _whole_steps),
+    Pattern("limit", "{who} goes {top} m/s at most, in {share} of its time; then the truth travels {far} times as "
+            "far, otherwise as far", "ticks that are lost above a speed; a counter or a message that saturates",
+            "count by hardware, or with fewer ticks; a wider type; " + _RECORD, "", _limit),
     Pattern("wheel gains", "{who} moves as with wheels {each} (this explains {explained})",
             "{cause}", "{change}", "{then}", _wheel_gains),
     Pattern("turned axes", "{who} drives {angle} deg to the {side} of where {other} drives",

@@ -60,11 +60,7 @@ def only_scan(path: Path) -> str | None:
 
 
 def laser_run(
-    path: Path,
-    place: str,
-    odom: str | None,
-    scan: str | None,
-    progress: Callable[[str, float], None] | None = None,
+    path: Path, place: str, odom: str | None, scan: str | None, progress: Callable[[str, float], None] | None = None
 ) -> LaserRun:
     """Return the trajectory of one run by the laser, from the odometry and scans of a bag.
 

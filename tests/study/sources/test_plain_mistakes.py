@@ -142,6 +142,14 @@ def test_one_of_four_wheels_that_counts_the_wrong_way_and_two_that_are_exchanged
         (lambda rows: trajectory(rows * 100.0, every=4), "are lost; usual causes: wheel radius .* about 9. times"),
         (lambda rows: replace(trajectory(rows), yaw_rad=np.zeros(len(rows) + 1)), "they never change"),
         (lambda rows: trajectory(rows * [1.0, 1.0, 0.0]), "never turns, .* does"),
+        (
+            lambda rows: trajectory(rows * [1, 1, 0] + np.random.default_rng(1).normal(0.0 * rows, 1e-4) * [0, 0, 1]),
+            "never",
+        ),
+        (
+            lambda rows: trajectory(rims(rows, *(lambda u: np.clip(u, -5e-3, 5e-3),) * 2)),
+            "m/s at most, in .*; then the",
+        ),
         (lambda rows: trajectory(np.roll(rows, len(rows) // 2, axis=0) * [0, 0, 1] + 2.2 * rows * [1, 1, 0]), "follow"),
     ],
 )
@@ -197,16 +205,17 @@ def test_one_that_stands_while_the_other_moves_is_left_out_there(headed, at, unt
 
 
 @pytest.mark.parametrize("headed", [True, False])
-@pytest.mark.parametrize("how", range(3), ids=["path goes on", "path bends", "wheel"])
+@pytest.mark.parametrize("how", range(4), ids=["path goes on", "path bends", "wheel", "rate"])
 @pytest.mark.parametrize(("from_s", "until_s"), [(20.0, 70.0), (70.0, 130.0)])
 def test_a_heading_that_is_stuck_for_a_while_is_left_out_there(from_s, until_s, how, headed):
     path = trajectory(rows := driven(11))
     stuck = (path.t_s > from_s) & (path.t_s < until_s)
     held = replace(path, yaw_rad=np.where(stuck, path.yaw_rad[stuck][0], path.yaw_rad))
     dead = trajectory(rims(rows, np.positive, lambda u: u * ~stuck[1:]))
-    wrong = (held, trajectory(rows * np.where(stuck[1:, None], [1.0, 1.0, 0.0], 1.0)), dead)[how]
+    last = trajectory(np.where(stuck[1:, None] & [False, False, True], 0.4 / HZ, rows))
+    wrong = (held, trajectory(rows * np.where(stuck[1:, None], [1.0, 1.0, 0.0], 1.0)), dead, last)[how]
     left, seen, mistakes, *_ = look_at(wrong, real(rows, headed=headed), "one heading")
-    assert ("pivots about its right wheel" in mistakes[0].said) == (how > 1)
+    assert ("m to the right, as about a wheel that stands" in mistakes[0].said) == (how == 2)
     assert not np.any((left.t_s > from_s + 4.0) & (left.t_s < until_s - 4.0))
     assert np.sum(left.t_s < from_s - 4.0) == np.sum(path.t_s < from_s - 4.0)
     assert seen.headed == headed
@@ -219,13 +228,14 @@ def test_straight_courses_beside_noisy_headings_are_no_stuck_heading():
     look_at(trajectory(rows), replace(seen, yaw_rad=np.random.default_rng(3).normal(seen.yaw_rad, 0.1)))
 
 
-@pytest.mark.parametrize(("seed", "headed", "at"), [(1, True, 0.0), (3, True, 0.5), (6, False, 0.0), (6, False, 1.0)])
-def test_headings_in_degrees_given_to_cosines(seed, headed, at):
+@pytest.mark.parametrize(("seed", "headed"), [(1, True), (3, True), (4, True), (6, False)])
+@pytest.mark.parametrize(("times", "at"), [(57.3, 0.0), (57.3, 0.5), (57.3, 1.0), (0.0, 0.5), (0.5, 0.5), (2.0, 0.5)])
+def test_steps_that_are_rotated_by_a_multiple_of_the_heading(seed, headed, times, at):
     path = trajectory(rows := driven(seed))
-    course = np.degrees(path.yaw_rad[:-1] * (1.0 - at) + path.yaw_rad[1:] * at)
+    course = times * (path.yaw_rad[:-1] * (1.0 - at) + path.yaw_rad[1:] * at)
     steps = np.column_stack((np.cos(course), np.sin(course), 0.0 * course)) * rows[:, :1]
     wrong = replace(path, xyz=np.cumsum(np.vstack((path.xyz[:1], steps)), axis=0))
-    xyz = look_at(wrong, real(rows, headed=headed), "degrees in cosines").odometry.xyz
+    xyz = look_at(wrong, real(rows, headed=headed), "steps and headings").odometry.xyz
     assert np.abs(xyz - path.xyz).max() < 0.01
 
 
@@ -304,11 +314,14 @@ def test_overflows_are_counted_and_taken_out(bits, wheel_m, steered):
 @pytest.mark.parametrize(
     ("name", "wrong"),
     [
-        *(("unit of headings", lambda one, k=k: {"yaw_rad": one.yaw_rad * k}) for k in (57.3, -57.3, 0.01745, 0.5)),
-        ("unit of headings", lambda one: {"yaw_rad": (2.0 * one.yaw_rad + np.pi) % (2.0 * np.pi) - np.pi}),
-        ("mirrored headings", lambda one: {"yaw_rad": -one.yaw_rad}),
-        ("mirrored headings", lambda one: {"xyz": one.xyz * [1.0, -1.0, 1.0]}),
-        ("folded headings", lambda one: {"yaw_rad": one.yaw_rad % np.pi}),
+        *(
+            ("steps and headings", lambda one, k=k: {"yaw_rad": one.yaw_rad * k})
+            for k in (57.3, -57.3, 0.01745, 0.5, -1.0)
+        ),
+        ("steps and headings", lambda one: {"yaw_rad": (2.0 * one.yaw_rad + np.pi) % (2.0 * np.pi) - np.pi}),
+        ("steps and headings", lambda one: {"xyz": one.xyz * [1.0, -1.0, 1.0]}),
+        ("flips", lambda one: {"yaw_rad": one.yaw_rad % np.pi}),
+        ("flips", lambda one: {"yaw_rad": one.yaw_rad + np.pi * (np.abs(one.t_s - 50.0) < 3.0)}),
         ("whole positions", lambda one: {"xyz": 4e-3 * np.rint(one.xyz / 4e-3)}),
     ],
 )
@@ -318,6 +331,18 @@ def test_headings_against_their_own_path(at, name, wrong):
     assert [one.name for one in mistakes_alone(pair[0])] == [name] * (at == 0)  # and none of a good one
     found = look_at(*pair, name)
     look_at(found.odometry, found.truth)
+
+
+@pytest.mark.parametrize("at", [0, 1])
+def test_inverse_poses_and_several_publishers(at):
+    pair = [trajectory(rows := driven()), real(rows)]
+    one = pair[at]
+    xy = -(one.xyz[:, :2] @ [1.0, 1j]) * np.exp(-1j * one.yaw_rad)
+    pair[at] = replace(one, xyz=np.column_stack((xy.real, xy.imag, 0.0 * one.yaw_rad)), yaw_rad=-one.yaw_rad)
+    look_at(*pair, "inverse")
+    pair[at] = replace(one, xyz=one.xyz + [3.0, 1.0, 0.0] * (np.arange(len(one)) % 3 == 0)[:, None])
+    with pytest.raises(RecordingError, match="several robots or publishers"):
+        first_look(Look(tuple(pair)))
 
 
 @pytest.mark.parametrize("at", ["beginning", "end"])
@@ -391,8 +416,8 @@ def test_axes_that_are_turned_by_any_angle(omni, angle, at):
 def test_a_truth_in_degrees_that_wraps_many_times_between_poses_has_that_cause(seed):
     seen = real(rows := driven(seed) * [1.0, 1.0, 2.0])
     wrong = replace(seen, yaw_rad=(np.degrees(seen.yaw_rad) + np.pi) % (2.0 * np.pi) - np.pi)
-    said = look_at(trajectory(rows), wrong, "headings of the truth").mistakes[0].said
-    assert "degrees given to a function of radians" in said
+    (mistake,) = look_at(trajectory(rows), wrong, "steps and headings").mistakes
+    assert "degrees, not radians" in mistake.causes
 
 
 @pytest.mark.parametrize("seed", range(2))
