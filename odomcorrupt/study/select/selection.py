@@ -114,9 +114,7 @@ def learn(
     if not is_exact(ten_second_error(first), first.problem.motions, decisions.practical):
         selection.run()
     return replace(
-        selection.result(clocks),
-        first_clocks=clocks if same_data else None,
-        hides_losses=hides_losses(as_given[0]),
+        selection.result(clocks), first_clocks=clocks if same_data else None, hides_losses=hides_losses(as_given[0])
     )
 
 
@@ -462,12 +460,7 @@ class _Selection:
         )
 
     def _ranked(
-        self,
-        bare: Fit,
-        term: LibraryTerm,
-        gain: float,
-        instead: Mapping[int, float],
-        tested: Sequence[Candidate],
+        self, bare: Fit, term: LibraryTerm, gain: float, instead: Mapping[int, float], tested: Sequence[Candidate]
     ) -> tuple[Candidate, ...]:
         """Return an effect of the model and its rivals as candidates, in order of their gains.
 

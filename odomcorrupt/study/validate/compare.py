@@ -270,11 +270,7 @@ def _refit(model: MotionModel, recordings: Sequence[Recording], approach: Approa
 
 
 def sequence_comparison(
-    learned: Learned,
-    recordings: Sequence[Recording],
-    first: str = "without effects",
-    *,
-    clocks: Clocks | None = None,
+    learned: Learned, recordings: Sequence[Recording], first: str = "without effects", *, clocks: Clocks | None = None
 ) -> Comparison:
     """Return the comparison of the model before each inclusion and of the final one, named by the added term.
 

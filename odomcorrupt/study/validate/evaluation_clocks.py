@@ -55,11 +55,7 @@ def clocks_beside(
     found = plain
     n = len(recordings)
     none = replace(
-        plain,
-        clocks=(Clock(),) * n,
-        free=((False, False),) * n,
-        errors=((0.0, 0.0),) * n,
-        ranges_s=((0.0, 0.0),) * n,
+        plain, clocks=(Clock(),) * n, free=((False, False),) * n, errors=((0.0, 0.0),) * n, ranges_s=((0.0, 0.0),) * n
     )
     for other in (none, applied):
         if error_m(other.clocks) < _MAX_ERROR_RATIO * error_m(found.clocks):
