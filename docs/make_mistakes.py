@@ -57,11 +57,14 @@ FIGURES = {
 }  # fmt: skip
 """Example of each figure."""
 OWN = {
+    "never turns": {"causes": "a steering angle or yaw rate that stays 0; one counter read for both wheels; encoders "
+                              "without direction"},
     "steps and headings": {
         "times": "57.3 times as far as", "which": "headings turn",
         "causes": "x += v cos(yaw) dt with yaw in degrees; others below",
         "then": "its headings are multiplied, or its path is made again of its steps and headings",
     },
+    "in reverse": {"v": 1, "w": -1},
     "limit": {"top": 0.45, "share": "76%", "far": 2},
     "publishers": {"share": "50%", "far": 1.4},
     "plane": {"who": "/truth"}, "headings of the truth": {"who": "/truth", "what": "are 0 or 180 deg alone"},

@@ -63,13 +63,17 @@ _FAST_MPS, _ROBOT_MPS = 60.0, 10.0
 _DEGREE = 180.0 / np.pi
 COURSES = {
     1.0: ("like", "", ""),
-    -1.0: ("the other way than", "compass headings; an axis mirrored", "x and y exchanged, or one of them negated"),
+    -1.0: (
+        "the other way than",
+        "compass headings; an axis mirrored",
+        "x and y exchanged, or one negated; rotated by -yaw",
+    ),
     1.0 / _DEGREE: ("a 57th of", "degrees, not radians", "yaw in radians is converted to radians again"),
     -1.0 / _DEGREE: ("minus a 57th of", "degrees of a compass (clockwise)", "another axis, and degrees"),
     _DEGREE: ("57.3 times as far as", "radians that are read as degrees", "x += v cos(yaw) dt with yaw in degrees"),
     0.5: ("half as far as", "twice the angle (z = sin(yaw), w = cos(yaw))", "half of yaw in sine and cosine"),
     2.0: ("twice as far as", "half of the angle, as yaw for yaw / 2 in a quaternion", "steps are rotated by yaw twice"),
-    0.0: ("never, unlike", "", "x += v dt: steps that are not rotated by yaw"),
+    0.0: ("never, unlike", "", "x += v dt: steps that are not rotated by yaw, or by its radians of radians"),
 }
 """How many times as far as its headings a path may turn; usual causes if the headings are wrong, and if the path is."""
 UNITS = {"feet": 1.0 / 0.3048, "inches": 1.0 / 0.0254, "centimetres": 100.0, "millimetres": 1000.0}
@@ -308,10 +312,13 @@ class Look:
         (travel, turn), c = self.sizes, _correlations(*self.windows[:2])
         return c if travel[:2].max() > _ARM_M * turn[:2].min() else c * np.diag((0.0, 0.0, 1.0))
 
-    def ratio(self, axis: int, side: int = 0) -> Ratio:
-        """Return the ratio of the truth's motion along an axis to the odometry's, a weighted median of windows."""
+    def ratio(self, axis: int, side: int = 0, by: int | None = None) -> Ratio:
+        """Return the ratio of the truth's motion along an axis to the odometry's, a weighted median of windows.
+
+        side, by : sign of the odometry's motion along an axis, the same one by default, in these windows
+        """
         here, there, _ = self.windows
-        used = moving(here[:, axis], side) & (here[:, axis] != 0.0)
+        used = moving(here[:, axis]) & moving(here[:, axis if by is None else by], side) & (here[:, axis] != 0.0)
         if not used.any():
             return Ratio()
         each, weight = there[used, axis] / here[used, axis], np.abs(here[used, axis])
@@ -344,6 +351,16 @@ class Look:
         turned = np.interp(at_s, other.seconds_since(origin), np.unwrap(other.yaw_rad))
         return _concentration(np.diff(path.yaw_rad) - factor * np.diff(turned))
 
+    @property
+    def headed(self) -> bool:
+        """Whether these are two trajectories with headings."""
+        return self.paths[0] is not self.paths[1] and all(path.headed for path in self.paths)
+
+    def one_sided(self, i: int) -> bool:
+        """Return whether nearly all turns of one of the two are to one side."""
+        few, many = sorted(np.sum(moving(self.windows[:2][i][:, 2], side)) for side in (1, -1))
+        return bool(few < 0.1 * many)
+
     def directions(self, i: int) -> Array | float:
         """Return in which direction from its heading the other one drives in each step of a path, 0 if about ahead."""
         motion, path = self.motions[:2][1 - i], self.paths[i]
@@ -373,14 +390,6 @@ class Look:
     def sideways(self) -> bool:
         """Whether the odometry drives sideways, too."""
         return bool(np.std(self.motions[0][:, 1]) > 0.1 * np.std(self.motions[0][:, 0]))
-
-    @property
-    def words(self) -> str:
-        """Ratios of travel and turns in words, "" if they are not sure."""
-        sure = [(what, r) for what, r in zip(("travels", "turns"), self.scales, strict=True) if r.sure]
-        times = ["" if abs(r.value - 1.0) < r.spread else f"{r.value:.3g} times " for _, r in sure]
-        said = [f"{what} {by}as far (+-{r.spread:.1%})" for (what, r), by in zip(sure, times, strict=True)]
-        return f"in {self.window_s:.2g} s the truth {' and '.join(said)} as the odometry" if said else ""
 
     def at_fault(self) -> tuple[int | None, str]:
         """Return which one turns the wrong way according to a third source, if any does, and that source."""
@@ -480,7 +489,7 @@ def first_look(look: Look) -> FirstLook:
     """
     found: list[Mistake] = []
     gains = (1.0, 1.0)
-    if look.paths[1].headed and look.own[1].turned < 1e-6 and look.own[0].turned > 0.5:
+    if look.paths[1].headed and look.own[1].turned < 1e-6 and (look.own[0].turned > 0.5 or not look.own[1].straight):
         said = "its headings never change: its positions alone are used"
         look = look.having(1, look.paths[1].without_headings().noted(said))
     for pattern in PATTERNS:
@@ -497,7 +506,11 @@ def first_look(look: Look) -> FirstLook:
                 raise RecordingError(". ".join(one.sentence for one in found))
             gains = figures.get("gains", gains)
             look = look.having(i := figures.get("i", 0), undo(look.paths[i]))
-    return FirstLook(*look.paths, tuple(found), gains, look.words)
+    sure = [(what, r) for what, r in zip(("travels", "turns"), look.scales, strict=True) if r.sure]
+    times = ["" if abs(r.value - 1.0) < r.spread else f"{r.value:.3g} times " for _, r in sure]
+    parts = [f"{what} {by}as far (+-{r.spread:.1%})" for (what, r), by in zip(sure, times, strict=True)]
+    words = f"in {look.window_s:.2g} s the truth {' and '.join(parts)} as the odometry" if parts else ""
+    return FirstLook(*look.paths, tuple(found), gains, words)
 
 
 def mistakes_alone(path: Samples) -> list[Mistake]:
@@ -547,16 +560,15 @@ def _factor_of_course(look: Look, i: int, beside: Array | float) -> float | None
     """
     own, other, path, turn = look.own[i], look.own[1 - i], look.paths[i], look.scales[1]
     sideways, line = isinstance(beside, np.ndarray), min(own.line, other.line) > _FOLLOWS
-    headed = path is not look.paths[1 - i] and all(p.headed for p in look.paths)
     fits = tuple(_courses(path, k, beside)[1] for k in COURSES) if sideways else own.agreement
     # between messages an angle in degrees turns as 57.3 times the other one does, also if it has no way along the path
     unit = not turn.sure or abs(np.log(turn.value ** (2 * i - 1) / _DEGREE)) < _CLOSE
-    off = [1.0 - look.turns_by(i, k) for k in (_DEGREE, 1.0)] if headed and unit and fits[0] < _FOLLOWS else [1.0, 1.0]
+    off = [1.0 - look.turns_by(i, k) if look.headed and unit and fits[0] < _FOLLOWS else 1.0 for k in (_DEGREE, 1.0)]
     if off[0] < min(1.0 - _FOLLOWS, off[1] / 3.0):
         return 1.0 / _DEGREE
     # all factors fit two paths along one line, whose turns show it; zero fits one of them
     best = int(np.argmax(fits) if sideways or own.line < _FOLLOWS else len(fits) - 1)
-    if line and headed and turn.sure:
+    if line and look.headed and turn.sure:
         best = int(np.argmin(np.abs(np.array(list(COURSES)) - turn.value)))
     k = list(COURSES)[best]
     # how many times worse each path follows its headings than this multiple of them
@@ -569,10 +581,9 @@ def _factor_of_course(look: Look, i: int, beside: Array | float) -> float | None
 
 def _steps_and_headings(look: Look, i: int) -> Figures | None:
     """Find a path that turns otherwise than its headings; what turns as the other trajectory does is right."""
-    path, alone = look.paths[i], look.paths[i] is look.paths[1 - i]
-    headed = not alone and all(p.headed for p in look.paths)
+    path = look.paths[i]
     # a robot that drives sideways follows its heading in the directions that the other one has in its own frame
-    beside = look.directions(i) if headed else 0.0
+    beside = look.directions(i) if look.headed else 0.0
     if (k := _factor_of_course(look, i, beside)) is None:
         return None
     yaw = path.yaw_rad if np.ptp(path.yaw_rad) > 2.0 * np.pi + 0.01 else np.unwrap(path.yaw_rad)
@@ -581,15 +592,10 @@ def _steps_and_headings(look: Look, i: int) -> Figures | None:
     askew = float(np.angle(np.mean((step * np.exp(-1j * np.asarray(beside))) ** 2))) / 2.0
     turned, sideways = abs(askew) > _ASKEW, isinstance(beside, np.ndarray)
     step = step * np.exp(-1j * askew * (turned or not sideways))
-    step = np.conj(step) if k == -1.0 else step
+    step = np.conj(step) if k == -1.0 and not sideways else step
     rows = np.column_stack((step.real, step.imag * sideways, wrap(np.diff(path.yaw_rad))))
     mended = [replace(path, yaw_rad=k * yaw + askew * turned), _moved_by(path, rows)]
-    if headed:
-        back = [look.having(i, one).correlations[0, 0] < -_CLEAR for one in mended]
-        mended = [replace(mended[0], yaw_rad=mended[0].yaw_rad + np.pi * back[0]),
-                  _moved_by(path, rows * [-1.0, -1.0, 1.0]) if back[1] else mended[1]]  # fmt: skip
-    else:
-        mended[0] = _ahead(mended[0])
+    mended[: 1 + look.headed] = [_ahead(look, i, one) for one in mended[: 1 + look.headed]]
     turns = [look.having(i, one).scales[1] for one in mended]
     far = [abs(float(np.log(turn.value))) if turn.sure else np.inf for turn in turns]
     right = int(k == 0.0 or far[1] < far[0])
@@ -597,8 +603,8 @@ def _steps_and_headings(look: Look, i: int) -> Figures | None:
     then = (f"its headings are multiplied by {k:.3g}", "its path is made again of its steps and headings")[right]
     if k == 1.0 / _DEGREE and not right and np.exp(far[0]) > _WRONG:  # several turns between messages
         mended[0], then = path.without_headings(), "its positions alone are used"
-    said = "; ".join(filter(None, causes)) if alone else causes[right]
-    which = ("path turns", "headings turn")[right]
+    said = "; ".join(filter(None, causes)) if path is look.paths[1 - i] else causes[right]
+    which = "headings turn" if right else "path turns"
     return {"i": i, "times": times, "which": which, "causes": said, "then": then, "undo": lambda _: mended[right]}
 
 
@@ -613,13 +619,15 @@ def _flips(look: Look, i: int) -> Figures | None:
     before, _, after = np.diff(path.xyz[ends, :2], axis=0)
     on = np.sum(before * after, axis=1) > -0.5 * np.prod(np.linalg.norm((before, after), axis=2), axis=0)
     few = look.own[i].fixed > _FOLLOWS or not len(jumps) or on.mean() < 0.5
-    undo = lambda path: _ahead(replace(path, yaw_rad=np.unwrap(path.yaw_rad, period=np.pi)))  # noqa: E731
+    undo = lambda path: _ahead(look, i, replace(path, yaw_rad=np.unwrap(path.yaw_rad, period=np.pi)))  # noqa: E731
     return {"i": i, "count": len(jumps), "undo": undo} if path.headed and not few else None
 
 
-def _ahead(path: Samples) -> Samples:
-    """Return a trajectory whose headings are turned by half a turn if it would mostly drive backwards."""
-    return replace(path, yaw_rad=path.yaw_rad + np.pi * (increments(path.trajectory().xyt).ds_m.sum() < 0.0))
+def _ahead(look: Look, i: int, path: Samples) -> Samples:
+    """Return a trajectory turned by half a turn if it drives backwards where the other one does not, or mostly."""
+    ahead_m = float(increments(path.trajectory().xyt).ds_m.sum())
+    back = look.having(i, path).correlations[0, 0] < -_CLEAR if look.headed else ahead_m < 0.0
+    return replace(path, yaw_rad=path.yaw_rad + np.pi) if back else path
 
 
 def _euler(look: Look, i: int) -> Figures | None:
@@ -656,9 +664,15 @@ def _unrelated(look: Look, i: int) -> Figures | None:
 
 
 def _never_turns(look: Look) -> Figures | None:
+    """Find odometry that does not turn; what it does where the truth turns on the spot shows why."""
     own, real, _ = look.sizes[1]
     still = look.own[0].straight or (own < 0.1 * real and abs(look.correlations[2, 2]) < _UNCLEAR)
-    return {} if still and real > _FEW_TURNS else None
+    if not still or real <= _FEW_TURNS:
+        return None
+    here, there = look.windows[0][:, 0], np.abs(look.windows[1])
+    spot = moving(there[:, 2]) & (there[:, 0] < _MOVING * np.percentile(there[:, 0], 80.0))
+    unsigned = spot.sum() >= _FEWEST and np.mean(here[spot] > 0.01 * look.window_s) > 0.8
+    return {"causes": _NO_DIRECTION if unsigned else _NO_TURNS}
 
 
 def _upright(look: Look) -> Figures | None:
@@ -693,7 +707,7 @@ def _inverse(look: Look, i: int) -> Figures | None:
         turned = -(path.xyz[:, :2] @ [1.0, 1j]) * np.exp(-1j * path.yaw_rad)
         return replace(path, xyz=np.column_stack((turned.real, turned.imag, path.xyz[:, 2])), yaw_rad=-path.yaw_rad)
 
-    if abs(look.correlations[0, 0]) > _CLEAR or not all(p.headed for p in look.paths):
+    if abs(look.correlations[0, 0]) > _CLEAR or not look.headed:
         return None
     c = look.having(i, undo(look.paths[i])).correlations
     return {"i": i, "undo": undo} if min(c[0, 0], c[2, 2]) > _FOLLOWS else None
@@ -816,6 +830,7 @@ def _wheel_gains(look: Look) -> Figures | None:
     which = " and ".join(np.array(names)[wrong]) + (" wheel" if wrong.sum() == 1 else " wheels")
     if reverse.any():
         cause = f"the {which} counts the wrong way: channels A and B of its encoder, or its motor, are exchanged"
+        cause += "; of a steered robot, sine and cosine of its angle are" * (len(rolls) == 2)
         change = f"negate the counts of the {which}"
     elif dead.any():
         cause, change = f"the {which} counts nothing: its encoder, cable or topic", _RECORD
@@ -887,7 +902,7 @@ def _exchanged(look: Look) -> Figures | None:
     c = look.correlations
     # a robot that hardly turns shows it by its travel sideways
     corr = float(c[2, 2] if abs(c[2, 2]) > _UNCLEAR else c[1, 1])
-    if corr > -_CLEAR or c[0, 0] < _CLEAR:
+    if corr > -_CLEAR or c[0, 0] < _CLEAR or (look.one_sided(0) and not look.one_sided(1)):  # turns without a sign
         return None
     fault, source = look.at_fault()
     if c[1, 1] > _CLEAR:
@@ -1006,6 +1021,18 @@ def _one_encoder(look: Look) -> Figures | None:
     return None
 
 
+def _in_reverse(look: Look) -> Figures | None:
+    """Find travel or turns of another factor, or sign, in reverse than ahead."""
+    pairs = [[look.ratio(axis, side, 0) for side in (1, -1)] for axis in (0, 2)]
+    v, w = (back.value / (ahead.value or 1.0) for ahead, back in pairs)
+    few = min(one.number for pair in pairs for one in pair) < _FEWEST or look.one_sided(0)
+    counted = max(one.spread for one in pairs[0]) < 2.0 * _ALIKE and (0.0 < v < 1.0 / _WRONG or v > _WRONG)
+    if few or not (counted or max(abs(v - 1.0), abs(w + 1.0)) < _CLOSE):
+        return None
+    rows = (whole := increments(look.paths[0].trajectory().xyt).rows) * np.where(whole[:, :1] < 0.0, (v, v, w), 1.0)
+    return {"v": v, "w": w, "undo": lambda path: _moved_by(path, rows)}
+
+
 def _limit(look: Look) -> Figures | None:
     """Find odometry that keeps its largest speed where the truth is faster, and agrees below."""
     here, there = (np.abs(x[:, 0]) for x in look.windows[:2])
@@ -1019,26 +1046,14 @@ def _limit(look: Look) -> Figures | None:
     return {"top": top / look.window_s, "far": float(far[1]), "share": f"{at.mean():.0%}"}
 
 
-def _step_of_speeds(v: Array) -> float | None:
-    """Return the step of which speeds (n,) by a clock that jitters are multiples, None if of none."""
-    v = np.abs(v[moving(v)])
-    for step in np.percentile(v, 90.0) / np.linspace(3.0, 30.0, 400) if len(v) else ():
-        levels = np.unique(np.rint(v / step), return_counts=True)[1]
-        if np.sum(levels > 0.03 * len(v)) > 3 and np.abs(np.mean(np.exp(2j * np.pi * v / step))) > 0.8:
-            return float(step)
-    return None
-
-
 def _whole_steps(look: Look) -> Figures | None:
     """Find increments or speeds that are multiples of a step, and by which the truth travels farther than they say."""
     path, (here, there, (starts, _)) = look.paths[0], look.windows
     rows, dt_s = increments(path.trajectory().xyt).rows, np.diff(path.t_s)
-    speeds = step_of(rows[:, 0]) is None
-    per = dt_s if speeds else np.ones(len(dt_s))
+    per = dt_s if (speeds := step_of(rows[:, 0]) is None) else np.ones(len(dt_s))
     # odometry that hardly turns has few steps of turns, from which no step is refined
     turns = np.abs(rows[:, 2] / per)[np.abs(rows[:, 2]) > 1e-9]
-    step = step_of(rows[:, 0] / per) or (_step_of_speeds(rows[:, 0] / per) if speeds else None) or 0.0
-    turn = float(turns.min(initial=np.inf))
+    step, turn = step_of(rows[:, 0] / per) or 0.0, float(turns.min(initial=np.inf))
     turn = turn if len(turns) and np.mean(np.abs(turns / turn - np.rint(turns / turn)) < 0.02) > 0.99 else 0.0
     if step <= 0.01 * np.percentile(np.abs(rows[:, 0] / per), 90.0) or not look.scales[0].sure or look.sideways:
         return None
@@ -1153,12 +1168,10 @@ def _one_curvature(look: Look) -> Figures | None:
         few = a == b or many * look.window_s < 40.0 or turns.sum() - many < _FEWEST
         # noise of the truth's headings does not add up, and a gyro's dead band has no usual turns
         few = few or min(look.own[0].turned, np.ptp(off[a:b].cumsum()) / 4.0) < 1.0
-        lost = np.zeros(len(starts), dtype=bool)
-        lost[a:b] = True
+        lost = (np.arange(len(starts)) >= a) & (np.arange(len(starts)) < b)
         # commands of even curvature follow there, and other mistakes do not elsewhere
-        if few or abs(_correlations(here[lost], there[lost])[2, 2]) > _FOLLOWS:
-            continue
-        if look.paths[1].headed and abs(_correlations(here[~lost], there[~lost])[2, 2]) < _CLEAR:
+        follows = [abs(_correlations(here[x], there[x])[2, 2]) for x in (lost, ~lost)] if not few else [1.0, 1.0]
+        if follows[0] > _FOLLOWS or (look.paths[1].headed and follows[1] < _CLEAR):
             continue
         when = f"from {starts[a]:.0f} s to {starts[b - 1] + look.window_s:.0f} s"
         return {"when": when, "does": does, "undo": _without(look, 0, lost)}
@@ -1265,6 +1278,7 @@ def _hint(factor: float, causes: dict[float, str]) -> str:
 _RECORD = "mend it and record again"
 _UNDONE = "this is undone in the odometry, and not in the model"
 _NO_DIRECTION = "encoders without direction (one channel, or a counter that cannot count down); unsigned speeds"
+_NO_TURNS = "a steering angle or yaw rate that stays 0, or of another axis; one counter read for both wheels"
 _SIGNED = "count both channels, or give speeds the sign of the command; " + _RECORD
 _KEPT = "the model has the factor, and is of this odometry as it is"
 
@@ -1293,8 +1307,7 @@ PATTERNS = (
             "a counter overflows: {width}", "subtract counts as signed integers of the counter's width",
             "the jumps are taken out", _overflows, alone=True),
     Pattern("publishers", "{who}: {share} of its poses jump by {far} m and back within {few} messages",
-            "several robots or publishers on one topic", "give each a topic of its own", "",
-            _publishers, alone=True),
+            "several robots or publishers on one topic", "give each its own topic", "", _publishers, alone=True),
     Pattern("quaternion without w",
             "{who}: its orientations are no unit quaternions (w is 0 or 1 in all): its headings are wrong",
             "w was never set beside z = sin(yaw / 2)",
@@ -1319,8 +1332,7 @@ PATTERNS = (
             "orientation never filled in, or filled from another source than the position", _RECORD, "",
             lambda look: _unrelated(look, 0)),
     Pattern("never turns", "{who} never turns, {other} does",
-            "a steering angle or yaw rate that stays 0; one counter read for both wheels", _RECORD, "",
-            _never_turns),
+            "{causes}", _RECORD, "", _never_turns),
     Pattern("late clock",
             "{who}: its clock is {off} s {side} the odometry's (motions correlate by {best} there, by {near} as they "
             "are)", "clocks that are not synchronised; one of the files began later", "give --truth-shift {shift}", "",
@@ -1333,7 +1345,7 @@ PATTERNS = (
             "{how}", _NO_DIRECTION, _SIGNED, "", _one_encoder),
     Pattern("one heading", "{who} {does} {when} while it travels and {other} turns otherwise",
             "a gyro, or that wheel's encoder, that died (cable, topic); a steering angle or yaw rate that stays; "
-            "orientation no longer filled in", _RECORD, "this stretch is left out", _one_curvature),
+            "orientation no longer filled in; a clamped angle", _RECORD, "this stretch is left out", _one_curvature),
     Pattern("turns too far",
             "{who} turns by {most} deg and more between messages, {other} by {usual}: beyond 180 deg turns are lost",
             "{causes}", "give lengths in metres and angles in radians; " + _RECORD, "", _turns_too_far),
@@ -1346,6 +1358,8 @@ PATTERNS = (
             "count by hardware, or with fewer ticks; a wider type; " + _RECORD, "", _limit),
     Pattern("wheel gains", "{who} moves as with wheels {each} (this explains {explained})",
             "{cause}", "{change}", "{then}", _wheel_gains),
+    Pattern("in reverse", "{who}: in reverse {other} travels {v} and turns {w} times as far as it, beside ahead",
+            "a yaw rate of the absolute speed; edges counted otherwise", "give speeds a sign", _UNDONE, _in_reverse),
     Pattern("turned axes", "{who} drives {angle} deg to the {side} of where {other} drives",
             "a base or a marker turned by this angle; x and y exchanged, or wheels of an omni drive in another order",
             "turn its frame by this angle", "turned back", _turned_axes),

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import rotate, wrap
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.study.io.raw_trajectory import runs_of
@@ -42,7 +41,6 @@ _SIGMAS, _FIX_SIGMAS = 20.0, 8.0
 """Standard deviations of the noise below which a step is no jump, and a fix of radio or satellites (positions without
 headings) beside two that agree no spike: one in a hundred is off by metres."""
 _LEVER_M = 1.0  # assumed distance of the truth's tracked point from the odometry's
-_MAX_JUMPS = 0.2  # fraction of steps that may be jumps
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,13 +92,7 @@ def without_outliers(path: Samples) -> Samples:
 
 
 def stretches(path: Samples, reach: Reach) -> Stretches:
-    """Return the stretches of a path between lasting jumps.
-
-    Raises
-    ------
-    RecordingError
-        If more than 20 % of the steps are jumps.
-    """
+    """Return the stretches of a path between lasting jumps."""
     t_s = path.t_s
     xyt = np.column_stack((path.xyz[:, :2], np.nan_to_num(path.yaw_rad)))
 
@@ -108,13 +100,6 @@ def stretches(path: Samples, reach: Reach) -> Stretches:
         dt = np.abs(t_s[b] - t_s[a])[..., None]
         return np.asarray((_apart(xyt[a], xyt[b]) > reach.rate * dt + reach.slack).any(axis=-1))
 
-    every = np.arange(len(path))
-    jump = far(every[:-1], every[1:])
-    if np.mean(jump) > _MAX_JUMPS:
-        raise RecordingError(
-            f"{path.place}: {np.sum(jump)} of its {len(path)} poses lie farther from the one before than the robot can "
-            "go: several robots or publishers on one topic, or no path at all; name another one"
-        )
     least = reach.noise if path.headed else np.maximum(_FIX_SIGMAS / _SIGMAS * reach.noise, _SPIKE)
     rows = without_spikes(t_s, xyt, reach.top, least)
     pieces = np.split(rows, np.flatnonzero(far(rows[:-1], rows[1:])) + 1)

@@ -218,8 +218,8 @@ def in_order(samples: Samples) -> Samples:
     elif headless.any():
         samples = samples.only(~headless, f"{np.sum(headless)} poses without a heading left out")
     moved, same = np.diff(samples.xyz[:, :2], axis=0).any(axis=1), np.diff(samples.stamps_ns) == 0
-    if len(samples.log_ns):  # milliseconds in the nanoseconds are as good as none
-        same |= np.abs(np.diff(samples.stamps_ns)) < 1e-3 * np.diff(samples.log_ns)
+    if len(samples.log_ns):  # milliseconds or microseconds in the nanoseconds are as good as none
+        same |= np.abs(np.diff(samples.stamps_ns)) < 0.01 * np.diff(samples.log_ns)
     if len(samples.log_ns) and samples.stamps_ns.any() and (moved & same).sum() > moved.sum() / 2.0:
         samples = samples.noted(f"{same.sum()} of its poses {REPEATED}").stamped(samples.log_ns)
     order = order_of(samples.stamps_ns, samples.log_ns)

@@ -136,7 +136,8 @@ def noise_support(one: DetectedRandomEffect, learned: Learned) -> Support:
     """
     left = 0.0 if one.effect.layer == "record" else learned.left_nats
     own = held_out_limit(part_name(one.effect), one.nats, learned)
-    misfit = one.effect.name in CORRELATED_NOISE and (learned.drifts_too_far or _loses_slow_turns(learned))
+    slow_turns_lost = any(recording.yaw_dead_band_radps for recording in learned.fit.problem.recordings)
+    misfit = one.effect.name in CORRELATED_NOISE and (learned.drifts_too_far or slow_turns_lost)
     rivals = int(misfit or may_be_scale_of_truth(one, learned))
     return Support(own, rivals=rivals, left=left, unpredicted=learned.misfit**2 - 1.0)
 
@@ -147,14 +148,10 @@ def may_be_scale_of_truth(gain: DetectedRandomEffect, learned: Learned) -> bool:
     return of_travel and any(recording.own_scale for recording in learned.fit.problem.recordings)
 
 
-def _loses_slow_turns(learned: Learned) -> bool:
-    return any(recording.yaw_dead_band_radps > 0.0 for recording in learned.fit.problem.recordings)
-
-
 def _may_be_dead_band(name: str, learned: Learned) -> bool:
     """Return whether an effect changes the heading alone of an odometry whose slow turns a dead band has removed."""
     effect = learned.fit.by_name.get(name)
-    if effect is None or not _loses_slow_turns(learned):
+    if effect is None or not any(recording.yaw_dead_band_radps for recording in learned.fit.problem.recordings):
         return False
     travel, turn = (any(error_of(effect, motion)[:, k].any() for motion in learned.fit.problem.motions) for k in (0, 2))
     return turn and not travel

@@ -333,6 +333,14 @@ def test_headings_against_their_own_path(at, name, wrong):
     look_at(found.odometry, found.truth)
 
 
+@pytest.mark.parametrize("factors", [(1.0, 1.0, -1.0), (0.5, 0.5, 0.5)])
+def test_another_factor_in_reverse(factors):
+    rows = driven(11)
+    rows[4000:4600], rows[5000:5600] = (-0.3 / HZ, 0.0, 0.5 / HZ), (-0.3 / HZ, 0.0, -0.4 / HZ)
+    found = look_at(trajectory(rows * np.where(rows[:, :1] < 0.0, factors, 1.0)), real(rows), "in reverse")
+    assert np.allclose(increments(found.odometry.trajectory().xyt).rows, rows, atol=2e-4)
+
+
 @pytest.mark.parametrize("at", [0, 1])
 def test_inverse_poses_and_several_publishers(at):
     pair = [trajectory(rows := driven()), real(rows)]

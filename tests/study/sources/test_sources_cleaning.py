@@ -7,7 +7,6 @@ import pytest
 from sourcebags import edges, topic, write
 from sourcedrive import START_NS, Rows, odometry, samples, truth
 
-from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, wrap
 from odomcorrupt.simulation import simulate, write_mcap
 from odomcorrupt.study.io import Source, read_runs
@@ -151,14 +150,6 @@ def test_fast_honest_motion_is_no_jump():
         cut = stretches(path, reach_of(clean, path))
         assert len(cut.rows) == 1
         assert cut.outliers == 0
-
-
-def test_two_robots_on_one_topic_are_refused(read):
-    real = truth()
-    xyz = real.xyz.copy()
-    xyz[::2] += 4.0
-    with pytest.raises(RecordingError, match="several robots or publishers on one topic"):
-        read(real=real.having(xyz=xyz))
 
 
 def test_truth_inside_a_gap_of_the_odometry_is_left_out(read):
