@@ -193,6 +193,7 @@ def measure(case: Case, folder: Path, given: argparse.Namespace, lengths: tuple[
                 took = spent([*first, *command], environment(folder))
                 one.taken[name] += [took] if number else []  # the first round compiles
                 discard(target)
+        print(f"{case.name}: round {number} of {given.rounds}", file=sys.stderr, flush=True)
     for source, *_ in bags:
         discard(source)
     return found
