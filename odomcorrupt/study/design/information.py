@@ -93,7 +93,7 @@ def separation(
 
 
 def sizes(effect: Effect, beside: Sequence[Effect], fields: Sequence[Field]) -> Array:
-    """Return the standard errors (p,) of an effect's amplitudes from all drives together; inf if undetermined."""
+    """Return standard errors (p,) of an effect's amplitudes, others `beside` it free, of all drives; inf if unknown."""
     signal, rest = _stacked((effect,), beside, fields)
     left = _without(rest, signal)
     scale = np.sqrt(np.maximum(np.sum(signal**2, axis=0), 1e-300))

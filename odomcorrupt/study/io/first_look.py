@@ -73,7 +73,7 @@ COURSES = {
     _DEGREE: ("57.3 times as far as", "radians that are read as degrees", "x += v cos(yaw) dt with yaw in degrees"),
     0.5: ("half as far as", "twice the angle (z = sin(yaw), w = cos(yaw))", "half of yaw in sine and cosine"),
     2.0: ("twice as far as", "half of the angle, as yaw for yaw / 2 in a quaternion", "steps are rotated by yaw twice"),
-    0.0: ("never, unlike", "", "x += v dt: steps that are not rotated by yaw, or by its radians of radians"),
+    0.0: ("never, unlike", "", "x += v dt: steps are not rotated by yaw, or by yaw converted to radians twice"),
 }
 """How many times as far as its headings a path may turn; usual causes if the headings are wrong, and if the path is."""
 UNITS = {"feet": 1.0 / 0.3048, "inches": 1.0 / 0.0254, "centimetres": 100.0, "millimetres": 1000.0}
@@ -362,7 +362,7 @@ class Look:
         return bool(few < 0.1 * many)
 
     def directions(self, i: int) -> Array | float:
-        """Return in which direction from its heading the other one drives in each step of a path, 0 if about ahead."""
+        """Return the other one's direction of travel in its own frame, rad, in each step of a path; 0 if ahead."""
         motion, path = self.motions[:2][1 - i], self.paths[i]
         follows = max(self.own[1 - i].fixed, self.own[i].agreement[0]) > _FOLLOWS
         if follows or motion[:, 1].std() < 0.3 * motion[:, 0].std():
@@ -624,7 +624,7 @@ def _flips(look: Look, i: int) -> Figures | None:
 
 
 def _ahead(look: Look, i: int, path: Samples) -> Samples:
-    """Return a trajectory turned by half a turn if it drives backwards where the other one does not, or mostly."""
+    """Return a trajectory turned by half a turn if it drives backwards where the other one does not."""
     ahead_m = float(increments(path.trajectory().xyt).ds_m.sum())
     back = look.having(i, path).correlations[0, 0] < -_CLEAR if look.headed else ahead_m < 0.0
     return replace(path, yaw_rad=path.yaw_rad + np.pi) if back else path
@@ -1158,7 +1158,7 @@ def _one_curvature(look: Look) -> Figures | None:
     turned = there[:, 2]
     for does, own, off in (
         ("has one heading", 0.0 * turned, turned),
-        (f"{arcs}, as about a wheel that stands,", bend * here[:, 0], turned - bend * there[:, 0]),
+        (f"{arcs}, as about a wheel at rest,", bend * here[:, 0], turned - bend * there[:, 0]),
         (f"turns at {np.degrees(rate) / look.window_s:.2g} deg/s", rate + 0.0 * turned, turned),
     ):
         turns = moving(off) & seen & (moves | ~own.any())
@@ -1179,7 +1179,7 @@ def _one_curvature(look: Look) -> Figures | None:
 
 
 def _densest(x: Array, count: int) -> float:
-    """Return the value at which some of values (n,) lie closest together, 0 if the values of either sign do."""
+    """Return the mode of values (n,), of the shortest interval with `count` of them; 0 if its negative is one, too."""
     x = np.sort(x)
     if len(x) <= count:
         return 0.0
@@ -1278,7 +1278,7 @@ def _hint(factor: float, causes: dict[float, str]) -> str:
 _RECORD = "mend it and record again"
 _UNDONE = "this is undone in the odometry, and not in the model"
 _NO_DIRECTION = "encoders without direction (one channel, or a counter that cannot count down); unsigned speeds"
-_NO_TURNS = "a steering angle or yaw rate that stays 0, or of another axis; one counter read for both wheels"
+_NO_TURNS = "a steering angle or yaw rate that stays 0 or is of another axis; one counter read for both wheels"
 _SIGNED = "count both channels, or give speeds the sign of the command; " + _RECORD
 _KEPT = "the model has the factor, and is of this odometry as it is"
 
@@ -1353,13 +1353,13 @@ PATTERNS = (
             "steps farther each time", "integers in a loop or a protocol, cut off",
             "keep the remainder for the next cycle, or take floating point",
             "half a step is added to each wheel, and not in the model", _whole_steps),
-    Pattern("limit", "{who} goes {top} m/s at most, in {share} of its time; then the truth travels {far} times as "
-            "far, otherwise as far", "ticks that are lost above a speed; a counter or a message that saturates",
+    Pattern("limit", "{who} goes {top} m/s at most, in {share} of its time; the truth travels {far} times as far "
+            "then, and agrees at lower speeds", "ticks lost above a speed; a counter or a message that saturates",
             "count by hardware, or with fewer ticks; a wider type; " + _RECORD, "", _limit),
     Pattern("wheel gains", "{who} moves as with wheels {each} (this explains {explained})",
             "{cause}", "{change}", "{then}", _wheel_gains),
-    Pattern("in reverse", "{who}: in reverse {other} travels {v} and turns {w} times as far as it, beside ahead",
-            "a yaw rate of the absolute speed; edges counted otherwise", "give speeds a sign", _UNDONE, _in_reverse),
+    Pattern("in reverse", "{who}: in reverse {other} travels {v} and turns {w} times as far as it, relative to ahead",
+            "yaw rate of the absolute speed; other edges are counted", "give speeds a sign", _UNDONE, _in_reverse),
     Pattern("turned axes", "{who} drives {angle} deg to the {side} of where {other} drives",
             "a base or a marker turned by this angle; x and y exchanged, or wheels of an omni drive in another order",
             "turn its frame by this angle", "turned back", _turned_axes),

@@ -148,7 +148,7 @@ def test_one_of_four_wheels_that_counts_the_wrong_way_and_two_that_are_exchanged
         ),
         (
             lambda rows: trajectory(rims(rows, *(lambda u: np.clip(u, -5e-3, 5e-3),) * 2)),
-            "m/s at most, in .*; then the",
+            "m/s at most, in .*; the truth travels 1",
         ),
         (lambda rows: trajectory(np.roll(rows, len(rows) // 2, axis=0) * [0, 0, 1] + 2.2 * rows * [1, 1, 0]), "follow"),
     ],
@@ -215,7 +215,7 @@ def test_a_heading_that_is_stuck_for_a_while_is_left_out_there(from_s, until_s, 
     last = trajectory(np.where(stuck[1:, None] & [False, False, True], 0.4 / HZ, rows))
     wrong = (held, trajectory(rows * np.where(stuck[1:, None], [1.0, 1.0, 0.0], 1.0)), dead, last)[how]
     left, seen, mistakes, *_ = look_at(wrong, real(rows, headed=headed), "one heading")
-    assert ("m to the right, as about a wheel that stands" in mistakes[0].said) == (how == 2)
+    assert ("m to the right, as about a wheel at rest" in mistakes[0].said) == (how == 2)
     assert not np.any((left.t_s > from_s + 4.0) & (left.t_s < until_s - 4.0))
     assert np.sum(left.t_s < from_s - 4.0) == np.sum(path.t_s < from_s - 4.0)
     assert seen.headed == headed
