@@ -382,7 +382,7 @@ def scatter_columns(
         while end < len(columns) and columns[end] == columns[end - 1] + 1:
             end += 1
         run = item._replace(fields={field: (offset + 8 * columns[begin], end - begin)})
-        scatter(block, chosen, run, field, np.column_stack([own[which] for own in values[begin:end]]))
+        scatter(block, chosen, run, field, np.array([own[which] for own in values[begin:end]]).T)
         begin = end
 
 

@@ -144,8 +144,8 @@ def body_difference(clean_xyt: Array, correction_xyt: Array, turn_rad: Array | N
     body = rotated(np.diff(x), np.diff(y), -middle)
     less = rotated(*body, -swing / 2.0)
     more = rotated(*noisy_less_clean, -middle - swing / 2.0)
-    difference = np.stack((less[0] - body[0] + more[0], less[1] - body[1] + more[1], swing), axis=1)
-    return difference, np.stack((*body, turn), axis=1)
+    difference = np.stack((less[0] - body[0] + more[0], less[1] - body[1] + more[1], swing)).T
+    return difference, np.stack((*body, turn)).T
 
 
 class Curve:
@@ -177,7 +177,7 @@ class Curve:
             none = np.zeros(0, dtype=np.int64)
             self._stretches.append(
                 _Stretch(
-                    self._count, none, none, np.zeros((0, 3)), np.zeros((len(samples.sums) + more, 0)),
+                    self._count, none, none, np.zeros((3, 0)).T, np.zeros((len(samples.sums) + more, 0)),
                     samples.origin_xy.copy(), int(samples.stamps_ns[0]), int(time_ns[0]), len(samples.sums),
                     np.zeros((0, 3)),
                 )

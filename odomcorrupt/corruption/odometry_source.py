@@ -311,7 +311,7 @@ class OdometrySource:
                 asked = plain(self._asked or channel.topic) == plain(channel.topic)
                 asked &= not self._node or self._node_of(channel) == self._node
                 edges = [{plain(item.frame_id), plain(item.child_frame_id)} for item in layout.items] if asked else []
-                items = [(i, layout.items[i]) for i, edge in enumerate(edges) if edge == set(self.frames or ())]
+                items = [layout.items[i] for i, edge in enumerate(edges) if edge == set(self.frames or ())]
                 if items and not self.shares_tree(channel):  # of several robots, with equal frames
                     topics = ", ".join(sorted({*self._edge_topics, channel.topic}))
                     raise TopicError(
@@ -319,8 +319,8 @@ class OdometrySource:
                     )
                 self._edge_topics |= {channel.topic} if items else set()
             else:
-                items = [(0, layout.items[0])] if self.is_odometry(channel) else []
-            found += [(layout.rows, self._poses(block, layout, number, time_ns)) for number, _ in items]
+                items = [layout.items[0]] if self.is_odometry(channel) else []
+            found += [(layout.rows, self._poses(block, layout, item, time_ns)) for item in items]
         if not found:
             none = np.zeros(0, dtype=np.int64)
             return Arrivals(none, none, np.zeros((0, 3)))
@@ -342,15 +342,15 @@ class OdometrySource:
             if any(channel.msgtype in TRANSFORMS and plain(channel.topic) == asked for channel, _ in parts):
                 self._use_edge()
 
-    def _poses(self, block: Block, layout: Layout, number: int, time_ns: NDArray[np.int64]) -> Arrivals:
-        item = layout.items[number]
+    def _poses(self, block: Block, layout: Layout, item: Item, time_ns: NDArray[np.int64]) -> Arrivals:
         poses = poses_in(block, layout, item)
         if self.frames is not None and side_of(item.frame_id, item.child_frame_id, self.frames) == "right":
             poses = inverted(poses)
         xyt = planar_poses(poses)
         self.faults.take(poses.position, poses.quat_xyzw)
-        stamps_ns = stamps_or_log_ns(block, layout, item)
-        self.zero_stamps += len(stamps_ns) - int(np.count_nonzero(gather_stamps_ns(block, layout, item)))
+        if not (stamps_ns := gather_stamps_ns(block, layout, item)).all():
+            self.zero_stamps += int(np.count_nonzero(stamps_ns == 0))
+            stamps_ns = stamps_or_log_ns(block, layout, item)
         if "twist" in item.fields:
             self.faults.twists.take(stamps_ns, xyt, gather(block, layout, item, "twist")[:, PLANAR])
         return Arrivals(stamps_ns, time_ns[layout.rows], xyt)

@@ -120,8 +120,8 @@ class TopicTwist:
         reach = np.maximum.accumulate(np.concatenate(([self._reach_ns], own.stamps_ns)))
         self._reach_ns = int(reach[-1])
         fresh = (own.stamps_ns > reach[:-1]) & finite_rows(own.xyt)
-        rows = np.flatnonzero(fresh)
-        if not len(rows):
+        rows = slice(None) if fresh.all() else np.flatnonzero(fresh)
+        if not fresh.any():
             return rows
         poses = np.concatenate((self._pose, own.xyt[rows]))
         changed = (poses[1:] != poses[:-1]).any(axis=1)
@@ -131,7 +131,7 @@ class TopicTwist:
         # square of the part of its speed below which a robot has stopped, where its pose stays the same
         repeated = ~changed & (speed2 > 0.0) & (speed2 >= 0.25 * first)
         self._pose, self._speed2 = poses[-1:], first[-1:]
-        return slice(None) if fresh.all() and not repeated.any() else rows[~repeated]
+        return np.flatnonzero(fresh)[~repeated] if repeated.any() else rows
 
     def _within_stretch(self, own: Motions, at: Correction) -> TwistChange:
         n, sums = len(own.stamps_ns), at.sums[STEP_SUMS]
@@ -148,7 +148,7 @@ class TopicTwist:
         count = len(at_ns) - len(self._stamps_ns)
         fresh = count - len(dt_s)
         known = np.concatenate(([self._known], np.arange(count) >= fresh))
-        added, rate, swing = np.zeros((count + 1, 3)), np.zeros((count + 1, 3)), np.zeros((count + 1, 2))
+        added, rate, swing = (np.zeros((columns, count + 1)).T for columns in (3, 3, 2))
         covariance = np.zeros((3, 3, count + 1)).transpose(2, 0, 1)
         added[0], covariance[0], rate[0], swing[0] = self._added, self._covariance, self._rate, self._swing
         quat = np.concatenate((self._quat, own.quat_xyzw[measured]))
@@ -183,10 +183,10 @@ class TopicTwist:
         """
         rate = found.clean
         # faster than 5 cm/s: axes of slower motion are noise
-        moving = found.known & (np.hypot(rate[:, 0], rate[:, 1]) > 0.05) & finite_rows(own.twist)
-        odom = np.stack(rotated(rate[:, 0], rate[:, 1], heading_rad[:, 0]), axis=1)
+        moving = found.known & (np.square(rate[:, :2]).sum(axis=1) > 0.05**2) & finite_rows(own.twist)
+        odom = np.stack(rotated(rate[:, 0], rate[:, 1], heading_rad[:, 0])).T
         # roll and pitch rates, which a planar motion has not, tell the axes of tilted bodies apart
-        still = np.zeros((len(rate), 2))
+        still = np.zeros((2, len(rate))).T
         level, stated = (one[:, _SEEN] for one in (in_level_frame(own.twist, own.quat_xyzw, own.xyt[:, 2]), own.twist))
         terms = np.stack([
             np.where(moving, np.square(one).sum(axis=1), 0.0)
@@ -307,14 +307,14 @@ class Patcher:
                 self.changes.edges[edge] += len(target.stamps_ns)
                 self.changes.static |= {edge} if target.channel.topic.endswith("tf_static") else set()
                 poses = poses_in(block, target.layout, target.item)
-                paths[edge].append((target.layout.rows, planar_poses(poses)))
+                paths[edge].append((target.layout.rows, poses.position))
                 if self._moves:
                     _move(block, target, at.xyt, poses)
             if self._clocks:
                 self._shift_stamps(block, target, first_ns)
         for edge, of_each in paths.items():  # of all publishers
-            rows, xyt = (np.concatenate(one) for one in zip(*of_each, strict=True))
-            self.changes.paths[edge].take(xyt[np.argsort(rows, kind="stable")])
+            rows, xyz = (np.concatenate(one) for one in zip(*of_each, strict=True))
+            self.changes.paths[edge].take(xyz if len(of_each) == 1 else xyz[np.argsort(rows, kind="stable")])
         if self._moves:
             for topic, parts in odometry.items():
                 self._patch_odometry(block, topic, parts)
@@ -324,7 +324,7 @@ class Patcher:
         for target, at in parts:
             poses = poses_in(block, target.layout, target.item)
             if self._twist:
-                twist = gather(block, target.layout, target.item, "twist")
+                twist = np.asfortranarray(gather(block, target.layout, target.item, "twist"))
                 motions.append(Motions(target.stamps_ns, planar_poses(poses), poses.quat_xyzw, twist))
             noisy = _move(block, target, at.xyt, poses)
             if self._covariance:
@@ -404,15 +404,14 @@ def _move(block: Block, target: Target, correction_xyt: Array, poses: SpatialPos
         out = SpatialPoses(poses.position.copy(), poses.quat_xyzw.copy())
         some = act(correction_xyt[moved], SpatialPoses(poses.position[moved], poses.quat_xyzw[moved]))
         out.position[moved], out.quat_xyzw[moved] = some.position, some.quat_xyzw
-    scatter(block, target.layout, target.item, "position", out.position)
-    scatter(block, target.layout, target.item, "orientation", out.quat_xyzw)
+    whole = target.item._replace(fields={"pose": (target.item.fields["position"][0], 7)})
+    scatter(block, target.layout, whole, "pose", np.concatenate(out, axis=1))
     return out
 
 
 def _set_planar(block: Block, target: Target, name: str, covariance: Array, which: slice | NDArray[np.bool_]) -> None:
     """Replace the entries of x, y and yaw in a 6 x 6 covariance."""
-    planar = [covariance[:, row, column] for row in range(3) for column in range(3)]
-    scatter_columns(block, target.layout, target.item, name, PLANAR_BLOCK, planar, which)
+    scatter_columns(block, target.layout, target.item, name, PLANAR_BLOCK, [*covariance.reshape(-1, 9).T], which)
 
 
 def _planar_axes(turn: Array) -> Array:

@@ -173,7 +173,7 @@ class PathSamples:
         less, s = _cos_less_one(turn), np.sin(turn)
         shift_x = self.error_xyt[:, 0] - (less * x - s * y)
         shift_y = self.error_xyt[:, 1] - (s * x + less * y)
-        return np.stack((shift_x, shift_y, turn), axis=1)
+        return np.stack((shift_x, shift_y, turn)).T
 
 
 class PathSource(Protocol):
@@ -267,7 +267,7 @@ class NoisyPath:
         ct, st = np.cos(travel), np.sin(travel)
         x = self._error[0:1], less * world_x - s * world_y + (ct * along - st * across)
         y = self._error[1:2], s * world_x + less * world_y + (st * along + ct * across)
-        error = np.stack((np.cumsum(np.concatenate(x)), np.cumsum(np.concatenate(y)), heading), axis=1)
+        error = np.stack((np.cumsum(np.concatenate(x)), np.cumsum(np.concatenate(y)), heading)).T
 
         sums = np.broadcast_to(self._sums, (len(self._sums), n + 1))
         if self._covariance:

@@ -78,8 +78,8 @@ class ComponentOrder:
 def lacks_w(quat_xyzw: Array) -> int:
     """Return how many quaternions (n, 4) have a w of 0 or 1 and are neither zero nor of unit length: w was not set."""
     with np.errstate(all="ignore"):
-        length2 = np.sum(quat_xyzw**2, axis=1)
-    return _count(np.isin(quat_xyzw[:, 3], (0.0, 1.0)) & (length2 > 0.0) & (np.abs(length2 - 1.0) > 1e-3))
+        length2, w = np.sum(quat_xyzw**2, axis=1), quat_xyzw[:, 3]
+    return _count(((w == 0.0) | (w == 1.0)) & (length2 > 0.0) & (np.abs(length2 - 1.0) > 1e-3))
 
 
 W_FIRST = (
@@ -182,12 +182,12 @@ class Alternation:
     _last: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
     def take(self, xyt: Array) -> None:
-        """Add poses xyt (n, 3) in the order of their stamps."""
+        """Add poses xyt (n, 2 or more) in the order of their stamps."""
         good = (np.abs(xyt[:, :2]) < FAR_M).all(axis=1)
         path = np.concatenate((self._last, xyt[good, :2]))
-        steps = np.diff(path, axis=0)
-        length = np.hypot(steps[:, 0], steps[:, 1])
-        left = np.hypot(*(steps[1:] + steps[:-1]).T)
+        x, y = np.diff(path, axis=0).T
+        length = np.sqrt(x * x + y * y)
+        left = np.sqrt((x[1:] + x[:-1]) ** 2 + (y[1:] + y[:-1]) ** 2)
         least = np.minimum(length[1:], length[:-1])
         # poses of two publishers are this far apart at least: less is the noise of one
         back = (left < least / 2.0) & (least > 0.01)

@@ -50,7 +50,7 @@ class Arrivals:
         )
 
 
-_NONE = Arrivals(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+_NONE = Arrivals(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((3, 0)).T)
 _LONG_AGO = -(2**62)
 
 

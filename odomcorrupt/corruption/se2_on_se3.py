@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class SpatialPoses(NamedTuple):
-    """n poses: position (n, 3) in metres, quat_xyzw (n, 4) of any length but zero."""
+    """n poses: position (n, 3) in metres, quat_xyzw (n, 4) of any length but zero; fastest with contiguous columns."""
 
     position: Array
     quat_xyzw: Array
@@ -26,7 +26,9 @@ class SpatialPoses(NamedTuple):
 
 def poses_in(block: Block, layout: Layout, item: Item) -> SpatialPoses:
     """Return the poses (n,) of the messages of a layout."""
-    return SpatialPoses(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
+    begin, _ = item.fields["position"]
+    columns = gather(block, layout, item._replace(fields={"pose": (begin, 7)}), "pose").T.copy()
+    return SpatialPoses(columns[:3].T, columns[3:].T)
 
 
 def finite_rows(values: Array) -> NDArray[np.bool_]:
@@ -39,20 +41,19 @@ def planar_poses(poses: SpatialPoses) -> Array:
     """Return x, y and heading (n, 3) of poses; the heading of a quaternion of four zeros is NaN."""
     x, y, _ = poses.position.T
     yaw = yaw_from_quaternion(poses.quat_xyzw)
-    if not poses.quat_xyzw.any(axis=1).all():
-        yaw = np.where(poses.quat_xyzw.any(axis=1), yaw, np.nan)
-    return np.stack((x, y, yaw), axis=1)
+    if not (oriented := poses.quat_xyzw.any(axis=1)).all():
+        yaw = np.where(oriented, yaw, np.nan)
+    return np.stack((x, y, yaw)).T
 
 
 def from_left(correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:
     """Return C * pose, (n,): poses whose parent frame has moved by C (n, 3), metres and radians."""
-    position = poses.position.copy()
-    x, y = rotated(position[:, 0], position[:, 1], correction_xyt[:, 2])
-    position[:, 0], position[:, 1] = x + correction_xyt[:, 0], y + correction_xyt[:, 1]
-    half = correction_xyt[:, 2] / 2.0
+    (px, py, pz), (x, y, z, w), (dx, dy, turn) = poses.position.T, poses.quat_xyzw.T, correction_xyt.T
+    px, py = rotated(px, py, turn)
+    half = turn / 2.0
     c, s = np.cos(half), np.sin(half)
-    x, y, z, w = poses.quat_xyzw.T
-    return SpatialPoses(position, np.stack((c * x - s * y, c * y + s * x, c * z + s * w, c * w - s * z), axis=1))
+    quat = np.stack((c * x - s * y, c * y + s * x, c * z + s * w, c * w - s * z))
+    return SpatialPoses(np.stack((px + dx, py + dy, pz)).T, quat.T)
 
 
 def from_right(correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:
