@@ -1,5 +1,6 @@
 """ROS 2 bags compressed by file or by message, in and out."""
 
+import io
 from collections import Counter
 
 import pytest
@@ -112,6 +113,15 @@ def test_messages_compressed_one_by_one_are_read_without_metadata(storage, named
     if not source.suffix:
         assert rows(target) == expected
         assert info_of(target)["compression_mode"] == "MESSAGE"
+
+
+def test_on_a_pipe_messages_compressed_one_by_one_are_refused_with_the_way_out(tmp_path, monkeypatch, capsys):
+    (file,) = compressed(tmp_path / "in", "message", "mcap", 1).glob("*.mcap")
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(file.read_bytes())))
+    assert run(["-", str(tmp_path / "out.mcap"), "--odom-topic", "/odom", *NOISE]) == 1
+    why = "its messages are compressed one by one (zstd), which a pipe does not say beforehand; name the file or its"
+    assert capsys.readouterr().err == f"odomcorrupt: /odom: {why} directory\n"
+    assert not (tmp_path / "out.mcap").exists()
 
 
 @pytest.mark.parametrize("mode", MODES)

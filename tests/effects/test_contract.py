@@ -421,10 +421,9 @@ def test_a_parked_robot_that_sways_has_no_backlash():
     assert not error("backlash", {"travel": 0.004}, drive).any()
 
 
-@pytest.mark.parametrize("name", ["backlash"])
-def test_effects_of_single_wheels_ask_for_the_track(name):
+def test_effects_of_single_wheels_ask_for_the_track():
     with pytest.raises(EffectError, match="track"):
-        error(name, {"travel": 0.004}, motion(**STRAIGHT))
+        error("backlash", {"travel": 0.004}, motion(**STRAIGHT))
 
 
 def test_a_slope_is_reported_as_a_creep_towards_where_it_goes():

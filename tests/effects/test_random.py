@@ -85,11 +85,6 @@ def test_ticks_come_in_a_lattice_and_their_error_does_not_grow():
     assert np.abs(off[-100:, 0]).max() > 1e-5
 
 
-def test_ticks_need_the_track():
-    with pytest.raises(EffectError, match="track"):
-        recorded("quantization", {"step": 0.002}, motion(**STRAIGHT))
-
-
 def test_lost_increments_are_zero_and_the_others_untouched():
     steps, reported = recorded("lost_increments", {"fraction": 0.1}, motion(**CIRCLE, seconds=100.0))
     gone = ~reported.any(axis=1)
@@ -107,9 +102,10 @@ def test_a_lost_increment_of_one_wheel_leaves_the_other_wheels(wheel, side):
     assert other[1] == pytest.approx(other[0])
 
 
-def test_losses_of_one_wheel_need_the_track():
-    with pytest.raises(EffectError, match="track"):
-        recorded("lost_increments", {"fraction": 0.1, "wheel": "left"}, motion(**STRAIGHT))
+def test_ticks_and_losses_of_one_wheel_need_the_track():
+    for name, values in (("quantization", {"step": 0.002}), ("lost_increments", {"fraction": 0.1, "wheel": "left"})):
+        with pytest.raises(EffectError, match="track"):
+            recorded(name, values, motion(**STRAIGHT))
 
 
 def office():

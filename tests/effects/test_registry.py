@@ -107,11 +107,6 @@ def test_json_lists_all():
     assert [e["name"] for e in json.loads(page("--json"))["effects"]] == list(registry())
 
 
-def test_an_unknown_name_fails_with_the_nearest_one(capsys):
-    assert run(["effects", "wheel_bas"]) == 1
-    assert "did you mean wheelbase?" in capsys.readouterr().err
-
-
 OFFICE = str(Path(__file__).parent.parent.parent / "fixtures" / "office.mcap")
 WOBBLE = """
 from dataclasses import dataclass

@@ -21,7 +21,7 @@ from simulated_manoeuvres import (
 )
 
 import rosmessages
-from odomcorrupt.errors import BagError, EffectError, TopicError
+from odomcorrupt.errors import BagError, TopicError
 from odomcorrupt.simulation import (
     CAUSES,
     OUTSIDE,
@@ -562,14 +562,6 @@ def test_drawn_flaws_of_a_mixture_are_those_of_its_parts():
     assert both_at_once == alone
 
 
-@pytest.mark.parametrize(
-    "causes", ["wheel_skale", ("slope", "slope"), ("gyro_bias", "wheelbase"), ("gyro_scale", "eccentric_wheel")]
-)
-def test_impossible_causes_are_refused(causes):
-    with pytest.raises(EffectError):
-        simulate(1, causes, duration_s=10.0)
-
-
 @pytest.mark.parametrize("cause", ["region_slip", "wet_patch", "wet_strip"])
 def test_place_stays_where_it_is_for_other_drives_of_the_robot(cause):
     here = simulate(4, cause, duration_s=30.0)
@@ -609,8 +601,3 @@ def test_hidden_draws_all_kinds_and_what_shows():
     assert all(h.yaw_from == "gyro" for h in map(draw_causes, range(20), ["gyro"] * 20))
     for h in drawn[:30]:
         simulate(1, h.causes, yaw_from=h.yaw_from, duration_s=6.0)
-
-
-def test_negative_sizes_of_what_has_none_are_refused():
-    with pytest.raises(EffectError, match="must not be negative"):
-        silent("backlash", {"travel": -0.01}, (REST, Segment(0.1, 0.0, 1.0)))
