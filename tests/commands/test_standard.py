@@ -261,12 +261,12 @@ def test_parameters_stand_without_their_derivation_unless_it_is_asked_for(target
     ("typed", "last"),
     [("info in.mcap", "noisy.mcap"),
     ("batch in.mcap runs --runs 2 --preset typical --output trajectories --seed 1", "preview run_000000.mcap"),
-    ("batch in.mcap runs --runs 2 --seed 1", "info runs/run_000000.mcap"),
     ("sample -n 50 --seed 2", "density -n 50 --seed 2 --plot density.png"),
     ("integrate in.mcap --twist-noise 0.2 0.04 --seed 1 --runs 3", "--plot errors.png"),
     ("learn mystery.mcap -o robot.toml", "export robot.toml --to ros2_control"),
     ("diagnose mystery.mcap", "sim.bag noisy.bag --model robot.toml"),
-    ("batch in.mcap runs --runs 2 --seed 1; score runs --estimate /odom --align origin", "--report page.html"),
+    ("batch in.mcap runs --runs 2 --seed 1; score runs --estimate /odom --align origin",
+     "info runs/run_000000.mcap; --report page.html"),
     ("map in.mcap --resolution 0.2 --seed 1", "-o map.png"),
     ("effects wheelbase; convert-alpha 0.2 0.1 0.2 0.2 --from quadratic --step 0.25m --to diffusion", "e=0.015")],
 )  # fmt: skip
@@ -285,7 +285,7 @@ def test_each_suggested_command_runs_and_those_that_it_suggests(typed, last, tmp
             _, _, said = f"{''.join(capsys.readouterr())}\nnext ".replace("\\\n", "").partition("\nnext ")
             following = [" ".join(row.split()) for row in said.splitlines() if "odomcorrupt " in row]
             todo += [row.removeprefix("odomcorrupt ") for row in following]
-    assert any(line.endswith(last) for line in done.values()), done
+    assert all(any(line.endswith(one) for line in done.values()) for one in last.split("; ")), done
 
 
 def test_the_list_has_law_numbers_and_source_of_each(capsys):
@@ -316,7 +316,7 @@ def test_a_preset_is_printed_as_a_model_file_of_the_same_model(name, capsys, tmp
     assert f"(of {file})" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", [name for name, preset in PRESETS.items() if preset.spread])
+@pytest.mark.parametrize("name", [name for name, preset in PRESETS.items() if preset.spread][::3])
 def test_a_batch_draws_a_robot_within_the_range_of_a_preset(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ["--runs", "12", "--seed", "2", "--output", "trajectories"]

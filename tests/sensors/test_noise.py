@@ -115,11 +115,11 @@ def test_the_noise_depends_on_the_seed_alone(tmp_path):
     assert (tmp_path / "full" / "run_000000.mcap").read_bytes() == (tmp_path / "one.mcap").read_bytes()
 
 
-@pytest.mark.parametrize(("source", "name"), [
-    ("office.mcap", "o.mcap"), ("office.mcap", "o.bag"), ("office.bag", "o.bag"), ("office.bag", "o"),
-    ("office_ros2", "o"), ("office_ros2", "o.db3"), ("office_ros2", "o.mcap"),
+@pytest.mark.parametrize(("source", "name", "recover"), [
+    ("office.mcap", "o.mcap", False), ("office.mcap", "o.bag", True), ("office.bag", "o.bag", False),
+    ("office.bag", "o", True), ("office_ros2", "o", False), ("office_ros2", "o.db3", True),
+    ("office_ros2", "o.mcap", False),
 ])  # fmt: skip
-@pytest.mark.parametrize("recover", [False, True])
 def test_every_third_scan_is_kept_and_has_the_errors_that_it_has_among_all(source, name, recover, tmp_path):
     every = corrupted(tmp_path / f"all_{name}", source, scan_noise=STD_M, scan_keep=KEEP)
     odomcorrupt.corrupt(FIXTURES / source, tmp_path / name, model=STILL, seed=5, scan_noise=STD_M, scan_keep=KEEP,
