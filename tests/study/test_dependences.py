@@ -94,7 +94,7 @@ def test_a_strip_is_refined_to_where_it_lies_wheel_by_wheel():
 
 @pytest.mark.slow
 def test_on_a_patch_where_one_wheel_slips_before_the_other_the_region_says_so():
-    run = simulate(80, "wet_patch", duration_s=400.0)
+    run = simulate(80, "wet_patch", duration_s=300.0)
     learned = learn([as_recording(run)])
     (patch,) = learned.fit.effects
     assert (patch.name, patch.contact) == ("region_slip", "wheels")
@@ -158,7 +158,7 @@ def _planted(clean, text):
     ],
 )
 def test_a_law_of_time_or_standstill_is_written_down_and_the_error_falls(seed, text, driver, written):
-    clean = as_recording(simulate(seed, None, duration_s=400.0))
+    clean = as_recording(simulate(seed, None, duration_s=300.0))
     learned = learn([_planted(clean, text)])
     assert learned.laws
     assert learned.laws[0].regressor == driver
@@ -173,14 +173,14 @@ CARPET = "where(abs(0.8 * x + 0.6 * y - 4.0) < 4.0, 1, 0) * where(abs(0.8 * y - 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("seed", "text"),
+    ("seed", "seconds", "text"),
     [
-        (94, f"along += abs(v) * cos(0.6 - theta) * {RAMP}; across += abs(v) * sin(0.6 - theta) * {RAMP}"),
-        (98, f"yaw += 0.1 * v * {IRON}"),
+        (94, 350.0, f"along += abs(v) * cos(0.6 - theta) * {RAMP}; across += abs(v) * sin(0.6 - theta) * {RAMP}"),
+        (98, 500.0, f"yaw += 0.1 * v * {IRON}"),
     ],
 )
-def test_a_ramp_or_iron_near_a_compass_is_reported_by_its_place(seed, text):
-    clean = as_recording(simulate(seed, None, duration_s=500.0))
+def test_a_ramp_or_iron_near_a_compass_is_reported_by_its_place(seed, seconds, text):
+    clean = as_recording(simulate(seed, None, duration_s=seconds))
     planted = _planted(clean, text)
     learned = learn([planted])
     assert [one.regressor for one in learned.laws] == ["position"]

@@ -72,7 +72,7 @@ def only(learned):
     ],
 )
 def test_what_is_wrong_with_a_car_has_its_name_and_size(flaw, name, parameter, size):
-    learned = learn([car(1, flaw)])
+    learned = learn([car(1, flaw, 160.0)])
     assert learned.drive_type.name == "car"
     effect, error = only(learned)
     assert effect.name == name
@@ -83,7 +83,7 @@ def test_what_is_wrong_with_a_car_has_its_name_and_size(flaw, name, parameter, s
 @pytest.mark.slow
 def test_an_angle_of_a_driven_front_wheel_changes_the_travel_too():
     flaw = Flaw(offset=OFFSET_RAD, wheel=-0.012)
-    learned = learn([replace(forklift(1, flaw), drive_type="tricycle")])
+    learned = learn([replace(forklift(1, flaw, 160.0), drive_type="tricycle")])
     assert {effect.name for effect in learned.fit.effects} == {"steering_offset", "wheel_scale"}
     assert not learned.unknown
     steering = next(effect for effect in learned.fit.effects if effect.name == "steering_offset")
@@ -96,7 +96,7 @@ def test_an_angle_of_a_driven_front_wheel_changes_the_travel_too():
 
 @pytest.mark.slow
 def test_play_in_the_steering_has_its_name_and_size():
-    effect, _ = only(learn([car(1, Flaw(play_rad=0.04))]))
+    effect, _ = only(learn([car(1, Flaw(play_rad=0.04), 160.0)]))
     assert effect.name == "steering_play"
     # play is in the angle, and a curvature grows with its tangent: 6 % more at 0.25 rad
     assert effect.play == pytest.approx(0.04 / AXLES_M, rel=0.1)
@@ -104,7 +104,7 @@ def test_play_in_the_steering_has_its_name_and_size():
 
 @pytest.mark.slow
 def test_a_car_and_a_commanded_robot_with_nothing_wrong_have_no_name():
-    for run in (car(1), hobby(1, as_commanded)):
+    for run in (car(1, seconds=160.0), hobby(1, as_commanded, 160.0)):
         learned = learn([run])
         assert not learned.fit.effects
         assert not learned.unknown
@@ -123,7 +123,7 @@ def test_a_car_and_a_commanded_robot_with_nothing_wrong_have_no_name():
     ],
 )
 def test_wheels_show_their_flaw_and_their_track_where_nobody_said_it(true_of, reported_of, name, values):
-    seconds = 300.0 if name in ("scale_drift", "counts_lost") else 200.0
+    seconds = 240.0 if name in ("scale_drift", "counts_lost") else 160.0
     learned = learn([hobby(1, true_of, seconds, reported_of=reported_of)])
     effect, error = only(learned)
     assert effect.name == name
@@ -138,7 +138,7 @@ def test_wheels_show_their_flaw_and_their_track_where_nobody_said_it(true_of, re
 @pytest.mark.slow
 def test_motors_that_follow_commands_late_are_no_late_clock():
     tau_s = 0.2
-    learned = learn([hobby(1, lambda u, _t_s: lagged(u, tau_s), 200.0)])
+    learned = learn([hobby(1, lambda u, _t_s: lagged(u, tau_s), 160.0)])
     effect, error = only(learned)
     assert effect.name == "motor_lag"
     assert effect.tau == pytest.approx(tau_s, abs=max(SURE * error, 0.01))
@@ -153,7 +153,7 @@ def test_a_flat_side_of_one_wheel_has_its_name_and_circumference():
         turned = np.cumsum(u) / GRID_HZ / turn_m * 2.0 * np.pi
         return u * (1.0 - next(sides) * (np.abs((turned + 1.0 + np.pi) % (2.0 * np.pi) - np.pi) < 0.5))
 
-    learned = learn([replace(hobby(1, flat_on_the_right), track_m=HOBBY_TRACK_M)])
+    learned = learn([replace(hobby(1, flat_on_the_right, 200.0), track_m=HOBBY_TRACK_M)])
     (effect,) = (effect for effect in learned.fit.effects if effect.name == "flat_spot")
     # what the wheel loses on average, 12 % of a sixth of its way, is the flat side's own and no smaller radius
     assert list(learned.added) == ["flat_spot"]

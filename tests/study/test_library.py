@@ -65,7 +65,7 @@ def test_the_right_effect_is_first_and_the_held_out_error_falls_to_its_floor():
 
 @pytest.mark.slow
 def test_nothing_is_added_where_nothing_is_hidden():
-    added = [learn([as_recording(simulate(seed, None, duration_s=300.0))]) for seed in SEEDS[:3]]
+    added = [learn([as_recording(simulate(seed, None, duration_s=300.0))]) for seed in SEEDS[:2]]
     quiet = [not learned.added and learned.fit.problem.clocks == (Clock(),) for learned in added]
     assert all(quiet)
 
@@ -79,7 +79,7 @@ RANDOM = ("gauss_markov", "gyro_bias_walk", "lost_increments", "quantization", "
 
 def long_enough(cause: str) -> float:
     """Return for how long, in seconds, this robot drives until the cause is told from its rivals."""
-    return 600.0 if cause in ("unequal_wheels", "gauss_markov") else 300.0
+    return {"unequal_wheels": 600.0, "gauss_markov": 400.0, "slip_burst": 300.0}.get(cause, 200.0)
 
 
 @pytest.mark.slow
@@ -107,7 +107,7 @@ def test_a_clock_that_runs_fast_is_named_before_anything_else():
     assert learned.noise == ()
 
 
-CLEAN_SEEDS = range(8)
+CLEAN_SEEDS = range(5)
 
 
 def z_scores(run) -> dict[str, float]:
@@ -199,14 +199,6 @@ def test_a_cause_that_acts_in_a_few_blocks_keeps_its_confidence():
     assert held_out_errors(7.0, 3.5) == pytest.approx(2.0)
     assert held_out_errors(-7.0, 3.5) == pytest.approx(-2.0)
     assert held_out_errors(7.0, inf) == inf
-
-
-def test_another_decision_selects_another_model():
-    run = as_recording(simulate(91, "unequal_wheels", duration_s=120.0))
-    none = learn([run], decisions=replace(DECISIONS, term_nats=1e6))
-    (step,) = none.rounds
-    assert step.candidates[0].name == "unequal_wheels"
-    assert (none.added, none.fit.effects) == ((), ())
 
 
 @pytest.mark.slow

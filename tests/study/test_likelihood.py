@@ -137,7 +137,7 @@ SEEDS = range(300, 310)
 def test_planted_coefficients_lie_in_their_intervals(truth_mm):
     inside: dict[str, list[bool]] = {}
     for seed in SEEDS:
-        run = drive(seed, 600.0, PLANTED, truth_mm=truth_mm)
+        run = drive(seed, 300.0, PLANTED, truth_mm=truth_mm)
         fitted = fit([run], approach=choose_approach([run]))
         for interval in coefficient_intervals(fitted, np.zeros((len(fitted.problem.intervals), 3, 0))):
             planted = getattr(PLANTED, interval.name)

@@ -107,7 +107,7 @@ STRENGTHS = {"usual": Coefficients(0.0105, 0.0087, 0.0018, 0.0005), "typical": C
 
 def corrupted_drive(strength, effects=(), seed=10):
     """Return what a simulator without noise records: the truth exactly, and odometry corrupted by this program."""
-    steps = wander(seed, 400.0)
+    steps = wander(seed, 250.0)
     clean = recording(steps, accumulate(np.zeros(3), steps), truth_mm=0.0, truth_rad=0.0, seed=seed)
     stamps, xyt = clean.odometry.stamps_ns, clean.odometry.xyt
     model = MotionModel(Noise("diffusion", STRENGTHS[strength]), tuple(effects), TRACK_M)

@@ -190,7 +190,7 @@ def test_a_truth_that_is_elsewhere_for_seconds_and_comes_back_is_no_noise_of_the
 
 @pytest.mark.slow
 def test_what_odd_steps_come_from_is_named():
-    learned = learn([as_recording(simulate(303, "heavy_tails", size=2.0, yaw_from="encoders", duration_s=600.0))])
+    learned = learn([as_recording(simulate(303, "heavy_tails", size=2.0, yaw_from="encoders", duration_s=300.0))])
     assert [gain.effect.name for gain in learned.noise] == ["heavy_tails"]
     assert learned.added == ()
 

@@ -168,7 +168,7 @@ def test_a_bias_that_comes_back_is_no_walk_that_runs_away():
 @pytest.mark.slow
 def test_headings_of_a_truth_that_err_alike_for_a_second_are_no_bias_of_the_robot():
     # as those of a SLAM that is taken for the truth
-    rng, planned = np.random.default_rng(305), wander(305)
+    rng, planned = np.random.default_rng(305), wander(305, 300.0)
     keep, kicks = np.exp(-1.0 / RATE_HZ / 1.0), rng.standard_normal(len(planned) + 1)
     smooth = lfilter([1.0], [1.0, -keep], lfilter([1.0], [1.0, -keep], kicks))
     off = np.stack((0.0 * smooth, 0.0 * smooth, 0.02 * smooth / smooth.std()), axis=1)

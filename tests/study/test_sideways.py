@@ -46,7 +46,7 @@ def test_a_wheel_of_another_size_turns_the_robot_as_it_drives_sideways(drive):
 
 
 def test_a_robot_that_cannot_is_not_asked_and_not_advised_to():
-    steps = wander(312, 200.0)
+    steps = wander(312, 120.0)
     learned = learn([recording(steps, noisy_path(steps, QUIET, 312), seed=312)])
     assert learned.added == ()
     asked = {c.score.effect.name for c in learned.rounds[0].candidates} | {one.effect for one in untried(learned)}

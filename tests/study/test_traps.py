@@ -55,7 +55,7 @@ def test_2_drivers_do_not_carry_the_noise_they_are_regressed_on():
 def test_4_an_offset_is_estimated_without_the_bias_of_a_smoothed_derivative():
     offsets, errors = [], []
     for seed in range(25, 33):
-        late = as_recording(simulate(seed, "time_offset", duration_s=300.0, parameters={"offset": 0.03}))
+        late = as_recording(simulate(seed, "time_offset", duration_s=180.0, parameters={"offset": 0.03}))
         clocks = find_clocks([late], choose_approach([late]))
         offsets.append(clocks.clocks[0].offset_s)
         errors.append(clocks.errors[0][0])
@@ -101,9 +101,8 @@ def test_8_a_window_may_turn_more_than_once_and_a_coefficient_may_be_zero():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [40, 41])
-def test_1_a_truth_by_satellites_raises_no_false_alarm(seed):
-    learned = learn([as_recording(simulate(seed, None, truth="rtk", duration_s=300.0))])
+def test_1_a_truth_by_satellites_raises_no_false_alarm():
+    learned = learn([as_recording(simulate(40, None, truth="rtk", duration_s=300.0))])
     assert learned.added == ()
     assert learned.noise == ()
 
@@ -138,7 +137,7 @@ def steered_on_the_truth(seed: int, seconds: float = 300.0) -> Recording:
 
 
 def test_2_a_controller_that_steers_on_the_truth_is_no_slip():
-    learned = learn([steered_on_the_truth(0)])
+    learned = learn([steered_on_the_truth(0, 200.0)])
     assert "accel_slip" not in learned.added
     assert learned.added == ()
 
