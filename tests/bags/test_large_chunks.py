@@ -207,7 +207,8 @@ def with_zeros(kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kind", "codec", "piped"), [*((*kind, False) for kind in KINDS), ("mcap", "zstd", True), ("bag", "lz4", True)]
+    ("kind", "codec", "piped"),
+    [*((*kind, False) for kind in KINDS[:2] + KINDS[4:]), ("mcap", "zstd", True), ("bag", "lz4", True)],
 )
 def test_a_chunk_of_100_mb_takes_less_than_160_mb(kind, codec, piped, tmp_path):
     source = in_one_chunk(kind, codec, tmp_path / f"in.{kind}", with_zeros(kind), crc=0)

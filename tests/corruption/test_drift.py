@@ -188,7 +188,7 @@ def chosen(which, coefficients=WEAK):
 @pytest.mark.parametrize("which", RANDOM)
 def test_covariance_is_calibrated_about_the_mean_of_the_runs(which):
     t, poses = office(10.0, 40.0)
-    places, runs = np.array([60, 130, 200, 400]), 400
+    places, runs = np.array([60, 130, 200, 400]), 250
     errors, P = np.empty((runs, len(places), 3)), np.empty((runs, len(places), 3, 3))
     for number in range(runs):
         samples = NoisyPath(chosen(which), 11, number).feed(t, poses)

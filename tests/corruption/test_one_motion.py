@@ -92,8 +92,8 @@ def kinds(count: int, seed: int = 5) -> list[Kind]:
 
 
 def covering(seed: int = 5) -> list[Kind]:
-    """Return combinations with every two values of any properties, and every three but for storage and layout."""
-    groups = (*itertools.combinations(range(6), 2), *itertools.combinations(range(2, 6), 3))
+    """Return combinations with every two values of any properties; of attitudes and repeats with axes and sensors."""
+    groups = (*itertools.combinations(range(6), 2), (2, 4, 5), (3, 4, 5))
     rng, found = np.random.default_rng(seed), []
     pieces = {row: {(group, *(row[i] for i in group)) for group in groups} for row in Kind.every}
     left = set().union(*pieces.values())

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bagged import rows_of
 from drives import LAW_COEFFICIENTS, error_in_any_cut, model, office, silent, stamps, textbook_run, textbook_sigmas
-from mcap.reader import make_reader
-from rosbags.typesys import Stores, get_typestore
 
 from odomcorrupt.cli import run
 from odomcorrupt.corruption.covariance import pose_covariance
@@ -46,8 +45,8 @@ def strafing(rate_hz=2.0, seconds=40.0):
 )  # fmt: skip
 def test_moments_agree_with_the_textbook_loop(law, drive):
     poses, rng = drive[1], np.random.default_rng(1)
-    ours = last_errors(model(law), drive, 2000)
-    theirs = np.array([textbook_run(law, LAW_COEFFICIENTS[law], poses, rng)[-1] - poses[-1] for _ in range(2000)])
+    ours = last_errors(model(law), drive, 1300)
+    theirs = np.array([textbook_run(law, LAW_COEFFICIENTS[law], poses, rng)[-1] - poses[-1] for _ in range(1300)])
     spread = theirs.std(axis=0)
     assert ours.std(axis=0) == pytest.approx(spread, rel=0.07)
     assert (np.abs(ours.mean(axis=0) - theirs.mean(axis=0)) < 4.5 * spread / math.sqrt(1000)).all()
@@ -60,7 +59,7 @@ def test_moments_agree_with_the_textbook_loop(law, drive):
 )
 def test_any_cut_into_batches_gives_the_same_bits(law, step):
     for most in (2, 40):
-        error_in_any_cut(model(law, step=step, effects=EFFECTS, track_m=0.5), *office(15.0, 20.0), most)
+        error_in_any_cut(model(law, step=step, effects=EFFECTS, track_m=0.5), *office(15.0, 12.0), most)
 
 
 @pytest.mark.parametrize(
@@ -205,7 +204,7 @@ def test_the_angle_random_walk_of_a_gyro_grows_with_time_at_any_rate_and_at_rest
     t, poses = stamps(n, rate_hz), np.column_stack((np.linspace(0.0, 4.0, n), np.zeros(n), np.zeros(n)))
     chosen = model(law, Coefficients(0, 0, 0, 0, rot_time=0.01))
     for drive in (poses, poses * 0.0):
-        assert last_errors(chosen, (t, drive), 800)[:, 2].std() == pytest.approx(0.01 * math.sqrt(8.0), rel=0.08)
+        assert last_errors(chosen, (t, drive), 500)[:, 2].std() == pytest.approx(0.01 * math.sqrt(8.0), rel=0.08)
         samples = NoisyPath(chosen, 5, 0).feed(t, drive)
         place = (samples.clean_xyt[-1:, :2] + samples.error_xyt[-1:, :2] - samples.origin_xy).T
         assert pose_covariance(samples.sums[:, -1:], place)[0, 2, 2] == pytest.approx(0.01**2 * 8.0, rel=1e-5)
@@ -264,30 +263,17 @@ def test_an_increment_of_many_whole_steps_counts_each_and_none_is_no_variance():
 OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
 
 
-def edges(path, frame):
-    """Return stamps in ns and x, y, yaw of every transform from a frame."""
-    rows, types = [], get_typestore(Stores.ROS2_HUMBLE)
-    with path.open("rb") as file:
-        for _, _, message in make_reader(file).iter_messages(["/tf"]):
-            for one in types.deserialize_cdr(message.data, "tf2_msgs/msg/TFMessage").transforms:
-                if one.header.frame_id == frame:
-                    t, q = one.transform.translation, one.transform.rotation
-                    stamp = one.header.stamp.sec * 10**9 + one.header.stamp.nanosec
-                    rows.append((stamp, t.x, t.y, 2.0 * np.arctan2(q.z, q.w)))
-    return np.array([row[0] for row in rows]), np.array([row[1:] for row in rows])
-
-
 def test_subtraction_publishes_noisy_minus_clean_and_correction_the_rigid_motion(tmp_path):
     words = ["--odom-topic", "/odom", "--law", "article-code", "--alpha", "9", "9", "9", "9", "--seed", "4"]
     found = {}
     for how in ("subtraction", "correction"):
         out = tmp_path / f"{how}.mcap"
         assert run([str(OFFICE), str(out), *words, "--tf", how, "--new-odom-frame", "noisy"]) == 0
-        found[how] = edges(out, "noisy")
+        found[how] = rows_of(out, "/tf", ("noisy", "odom"))
     drive = read_drive(OFFICE, "/odom")
-    np.testing.assert_array_equal(found["subtraction"][0], drive.stamps_ns)
+    np.testing.assert_array_equal(found["subtraction"].stamps_ns, drive.stamps_ns)
     model = MotionModel(Noise("article-code", Coefficients(9.0, 9.0, 9.0, 9.0)))
     samples = NoisyPath(model, 4).feed(drive.stamps_ns, drive.xyt)
-    np.testing.assert_allclose(found["subtraction"][1][:, :2], samples.error_xyt[:, :2], atol=1e-9)
-    np.testing.assert_allclose(found["correction"][1][:, :2], samples.correction_xyt[:, :2], atol=1e-9)
-    assert np.abs(found["subtraction"][1] - found["correction"][1]).max() > 1e-3
+    np.testing.assert_allclose(found["subtraction"].xyt[:, :2], samples.error_xyt[:, :2], atol=1e-9)
+    np.testing.assert_allclose(found["correction"].xyt[:, :2], samples.correction_xyt[:, :2], atol=1e-9)
+    assert np.abs(found["subtraction"].xyt - found["correction"].xyt).max() > 1e-3

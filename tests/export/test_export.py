@@ -131,7 +131,7 @@ def amcl_ends(alphas, delta, updates, samples=6000):
 
 
 @cache
-def model_ends(noise, speed, yaw_rate, seconds, runs=1500):
+def model_ends(noise, speed, yaw_rate, seconds, runs=800):
     t_s = np.arange(round(seconds * DRIVE.rate_hz) + 1) / DRIVE.rate_hz
     n = len(t_s) - 1
     rows = (np.full(n, speed), np.zeros(n), np.full(n, yaw_rate))

@@ -162,7 +162,7 @@ def said(*words):
 def test_the_beginning_of_a_cut_bomb_goes_as_far_as_the_budget(codec, monkeypatch):
     monkeypatch.setenv(VARIABLE, "8MB")
     pack = {"zstd": zstandard.compress, "bz2": bz2.compress, "lz4": lz4.frame.compress}[codec]
-    whole = pack(bytes(64 * MB))
+    whole = pack(bytes(24 * MB))
     for cut in (whole[: len(whole) // 2], whole[:-1], whole):
         assert sum(map(len, beginning(codec, Packed.in_memory(cut), Budget()))) <= 8 * MB + 1000 * len(cut)
     sound = pack(bytes(range(256)) * 4096)
@@ -224,8 +224,9 @@ LARGE = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("recover", [False, True])
-@pytest.mark.parametrize("name", LARGE)
+@pytest.mark.parametrize(
+    ("name", "recover"), [("zstd", False), ("repeated zstd", True), ("bz2", True), ("repeated bz2", False)]
+)
 def test_a_few_kilobytes_never_take_300_megabytes(name, recover, tmp_path):
     make, size = LARGE[name]
     path = tmp_path / ("in.bag" if "bz2" in name else "in.mcap")

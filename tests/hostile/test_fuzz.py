@@ -1,4 +1,4 @@
-"""A minute of damage of all that is read, with seeds that stay; `fuzz.py` and `reader_fuzz.py` are the long runs."""
+"""Half a minute of damage of all that is read, with seeds that stay; `fuzz.py` and `reader_fuzz.py` run for long."""
 
 import time
 
@@ -12,7 +12,7 @@ KINDS = (
     "ros1 none", "sqlite3 file", "sqlite3 directory", "model file", "map .yaml", "map .pgm", "CSV", "TUM",
 )  # fmt: skip
 CASES = 40
-SECONDS = 4
+SECONDS = 2
 
 
 @pytest.fixture(scope="module")

@@ -79,7 +79,9 @@ def test_the_track_is_learned_from_scans_stamped_on_arrival_and_so_is_their_mean
 )
 def test_steady_turning_gives_the_turns_but_no_lag_and_no_mounting_of_its_own(tmp_path, spin, stated, mount):
     path = raycaster.drive(tmp_path / "run.mcap", spin=spin, sweep_s=0.19, stated=stated)
-    motion = laser_run(path, "run", None, "/scan").calibration.motion
+    odometry, _ = read_odometry(Source(path))
+    sweeps = read_sweeps(path, "run", "/scan", "base_link")
+    motion = calibrate(sweeps, odometry, int(odometry.stamps_ns[0])).motion
     assert motion.lag_s == pytest.approx(0.0, abs=0.005)
     assert motion.mount == pytest.approx(mount, abs=0.02)
     recording, notes = read(path)

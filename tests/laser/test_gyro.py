@@ -84,7 +84,7 @@ def test_wheels_or_gyro_as_the_source_of_the_heading_is_reported_by_what_they_sa
 
 @pytest.mark.slow
 def test_wheels_and_gyro_alone_name_a_wrong_track_and_no_travel(tmp_path, capsys):
-    simulated = drive(23, "wheelbase", 300.0, parameters={"e": 0.06}, yaw_from="encoders", route="slalom")
+    simulated = drive(23, "wheelbase", 180.0, parameters={"e": 0.06}, yaw_from="encoders", route="slalom")
     path = bag(tmp_path / "run.mcap", simulated)
     assert run(["diagnose", str(path), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)

@@ -33,7 +33,7 @@ def bag(path, seed, walk, cause=None, **options):
 @pytest.mark.slow
 @pytest.mark.parametrize("walk", [5e-5, 5e-4])
 def test_the_level_of_the_walk_is_estimated_to_a_factor_of_two(tmp_path, walk):
-    runs = list(read_runs(Source(bag(tmp_path / "run.mcap", 5, walk, duration_s=240.0))))
+    runs = list(read_runs(Source(bag(tmp_path / "run.mcap", 5, walk, duration_s=180.0))))
     (found,) = with_bias_walks(runs, choose_approach(runs))
     assert 0.5 * walk < found.turn_bias_walk < 2.0 * walk
 
@@ -51,7 +51,7 @@ def test_each_drive_has_a_bias_and_a_walk_of_its_own(tmp_path):
 
 @pytest.mark.slow
 def test_a_bias_that_walks_five_times_as_fast_as_usual_is_no_error_of_the_odometry(tmp_path):
-    path = bag(tmp_path / "run.mcap", 5, 5e-4, duration_s=300.0, route="loops")
+    path = bag(tmp_path / "run.mcap", 5, 5e-4, duration_s=180.0, route="loops")
     said = oc.diagnose(path).to_dict()
     assert (said["found"], said["unknown"]) == ([], [])
 
@@ -60,7 +60,7 @@ def test_a_bias_that_walks_five_times_as_fast_as_usual_is_no_error_of_the_odomet
 def test_unequal_wheels_are_found_though_the_bias_was_taken_from_an_odometry_that_hardly_rests(tmp_path, monkeypatch):
     """That bias contains the turns of unequal wheels, so that their inclusion seemed to increase the error."""
     monkeypatch.setattr("odomcorrupt.study.io.gyro._MIN_STILL_S", 1e9)
-    path = bag(tmp_path / "run.mcap", 4, 1e-4, "unequal_wheels", parameters={"curvature": 0.03}, duration_s=240.0)
+    path = bag(tmp_path / "run.mcap", 4, 1e-4, "unequal_wheels", parameters={"curvature": 0.03}, duration_s=180.0)
     found = oc.diagnose(path)
     (one,) = found.to_dict()["found"]
     assert (one["effect"], one["confidence"] > 0.9) == ("unequal_wheels", True)
