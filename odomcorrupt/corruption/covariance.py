@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.effects.effect import Motion
-from odomcorrupt.effects.random_processes import autoregression
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -74,8 +73,9 @@ class RandomEffectCovariance:
         middle_xy : (2, n) noisy positions at the middle of each interval, metres from the path's start
         travel_rad : (n,) direction of the body's x axis during the translation, radians
         """
-        if not self._memories:
-            self._memories = [_Memory(gain.start, np.zeros(5)) for gain in gains]
+        from odomcorrupt.effects.random_processes import autoregression  # noqa: PLC0415 - slow to import
+
+        self._memories = self._memories or [_Memory(gain.start, np.zeros(5)) for gain in gains]
         c, s = np.cos(travel_rad), np.sin(travel_rad)
         path, step = np.zeros((RANDOM_SUMS, len(dt_s))), np.zeros((6, len(dt_s)))
         memories = []
