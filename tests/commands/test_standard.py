@@ -22,7 +22,7 @@ from odomcorrupt.model.model_file import parse_model
 from odomcorrupt.model.presets import PRESETS, suggested
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
-OFFICE = str(FIXTURES / "office.mcap")
+OFFICE, SHORT = str(FIXTURES / "office.mcap"), str(FIXTURES / "office_ros2")
 COMMANDS = cli.list_commands(click.Context(cli))
 
 
@@ -215,10 +215,10 @@ def test_an_effect_is_explained_in_eight_lines(name, capsys):
     ("words", "label"),
     [(["presets"], "PRESETS"),
     (["effects"], "SYSTEMATIC"),
-    (["integrate", OFFICE], "INTEGRATED"),
-    (["integrate", OFFICE, "--twist-noise", "0.2", "0.04", "--runs", "3", "--seed", "1"], "INTEGRATED"),
+    (["integrate", SHORT], "INTEGRATED"),
+    (["integrate", SHORT, "--twist-noise", "0.2", "0.04", "--runs", "3", "--seed", "1"], "INTEGRATED"),
     (MAP, "THICKER"),
-    (["preview", OFFICE, "--runs", "2", "--seed", "1"], "DRIFT")],
+    (["preview", SHORT, "--runs", "2", "--seed", "1"], "DRIFT")],
 )  # fmt: skip
 def test_a_result_has_eight_lines_all_of_it_nothing_or_values(words, label, capsys):
     # a list of names leaves none out

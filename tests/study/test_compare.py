@@ -272,11 +272,11 @@ def inside(model, parts, drives):
 
 @pytest.mark.slow
 def test_a_right_model_covers_the_end_of_the_drive_at_its_level():
-    most, half = inside(RIGHT, [0.9, 0.5], 60)
+    most, half = inside(RIGHT, [0.9, 0.5], 40)
     assert most == pytest.approx(0.9, abs=0.1)
     assert half == pytest.approx(0.5, abs=0.17)
     timid = replace(RIGHT, noise=Noise("diffusion", Coefficients(0.015, 0.006, 0.015, 0.003)))
-    assert inside(timid, [0.9], 20)[0] < 0.5
+    assert inside(timid, [0.9], 12)[0] < 0.5
 
 
 def test_runs_start_at_the_truth_and_are_the_same_every_time():

@@ -47,7 +47,7 @@ def test_the_right_effect_is_first_and_the_held_out_error_falls_to_its_floor():
     right, ratios = [], []
     for seed in SEEDS:
         cause = np.random.default_rng((7, seed)).choice(CAUSES)
-        run = simulate(seed, cause, duration_s=300.0)
+        run = simulate(seed, cause, duration_s=200.0)
         learned = learn([as_recording(run)])
         # a clock that is off comes before anything else
         right.append(cause == ("time_offset" if learned.clocks.free[0][0] else next(iter(learned.added), None)))
