@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.bags.open import open_reader
+from odomcorrupt.correction.run import MeasuredPath
 from odomcorrupt.corruption.path import MARKS_M, NoisyPath
 from odomcorrupt.corruption.transform import Transform
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, Block
-    from odomcorrupt.corruption.path import PathSamples, PathSource
+    from odomcorrupt.corruption.path import PathSource
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
@@ -76,17 +77,6 @@ class Forecast:
     noisy_xy: Array
 
 
-class _Stretches:
-    def __init__(self) -> None:
-        self.parts: list[list[PathSamples]] = [[]]
-
-    def restart(self) -> None:
-        self.parts.append([])
-
-    def add(self, samples: PathSamples) -> None:
-        self.parts[-1].append(samples)
-
-
 def read_clean_drive(
     reader: BagReader, model: MotionModel, options: Options, watch: Callable[[Block], None] = lambda _: None
 ) -> CleanDrive:
@@ -97,11 +87,11 @@ def read_clean_drive(
     TopicError
         If there is no odometry source.
     """
-    transform, stretches = Transform(model.identity, 0, 0, options), _Stretches()
-    transform.watchers.append(stretches)
+    transform, measured = Transform(model.identity, 0, 0, options), MeasuredPath()
+    transform.watchers.append(measured)
     for block in transform.blocks(reader, reader.name):
         watch(block)
-    longest = max((parts for parts in stretches.parts if parts), key=lambda parts: float(parts[-1].travelled_m[-1]))
+    longest = max((parts for parts in measured.parts if parts), key=lambda parts: float(parts[-1].travelled_m[-1]))
     return CleanDrive(
         transform.odometry.name,
         np.concatenate([samples.stamps_ns for samples in longest]),

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
-from dataclasses import dataclass, field
+from collections import Counter
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from odomcorrupt.bags.messages import TRANSFORMS, Layout, gather, gather_stamps_ns, locate, stamps_or_log_ns
+from odomcorrupt.bags.messages import TRANSFORMS, gather, gather_stamps_ns, locate, stamps_or_log_ns
 from odomcorrupt.corruption.odometry_source import (
     ENCODINGS,
     GLOBAL_FRAMES,
@@ -35,7 +35,7 @@ from odomcorrupt.errors import ModelError, TopicError
 from odomcorrupt.geometry.se2 import increments, interpolate, inverse, wrap
 from odomcorrupt.model.presets import suggested
 from odomcorrupt.standard_streams import visible
-from odomcorrupt.summary import ALWAYS, Line, Summary, command_line
+from odomcorrupt.summary import ALWAYS, Line, Summary, aligned, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, Block, Channel
+    from odomcorrupt.bags.messages import Item, Layout
     from odomcorrupt.geometry.se2 import Array
 
 
@@ -113,39 +114,51 @@ class TopicRecord:
         return (self.count - 1) * 1e9 / span_ns if self.count > 1 and span_ns > 0 else None
 
 
-@dataclass(frozen=True, slots=True)
-class OdometryRecord:
-    """All messages of an odometry topic, or transforms of a TF edge used as odometry, in the order of arrival.
+@dataclass(slots=True)
+class PathRecord:
+    """All messages of an odometry topic, or all transforms of a TF edge on one topic, in the order of arrival.
 
-    frame, child : frames of its first message
+    frame, child : frames of its first message; of an edge, parent and child
     stamps_ns (n,); xyt (n, 3) metres, radians; twist (n, 3) forward and leftward m/s, yaw rad/s, None for TF
-    pose_covariance, twist_covariance : checks of the covariances
     zero_stamps : number of zero stamps
+    pose_covariance, twist_covariance : checks of the covariances
     faults : counts of unusable poses
     """
 
     topic: str
     frame: str
     child: str
-    stamps_ns: NDArray[np.int64]
-    xyt: Array
-    twist: Array | None
-    pose_covariance: CovarianceCheck
-    twist_covariance: CovarianceCheck
-    zero_stamps: int
+    stamps_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    xyt: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    twist: Array | None = None
+    zero_stamps: int = 0
+    pose_covariance: CovarianceCheck = field(default_factory=CovarianceCheck)
+    twist_covariance: CovarianceCheck = field(default_factory=CovarianceCheck)
     faults: PoseFaults = field(default_factory=PoseFaults)
+    _parts: list[tuple[NDArray[np.int64], Array, Array]] = field(default_factory=list)
 
+    def take(self, block: Block, layout: Layout, item: Item) -> None:
+        """Add the messages of a layout."""
+        poses = poses_in(block, layout, item)
+        stamps_ns, xyt = stamps_or_log_ns(block, layout, item), planar_poses(poses)
+        self.zero_stamps += int(np.count_nonzero(gather_stamps_ns(block, layout, item) == 0))
+        twist = xyt[:, :0]
+        if "twist" in item.fields:
+            twist = gather(block, layout, item, "twist")[:, PLANAR]
+            self.faults.take(poses.position, poses.quat_xyzw)
+            self.faults.twists.take(stamps_ns, xyt, twist)
+            self.pose_covariance.take(gather(block, layout, item, "pose_covariance"))
+            self.twist_covariance.take(gather(block, layout, item, "twist_covariance"))
+        self._parts.append((stamps_ns, xyt, twist))
 
-@dataclass(frozen=True, slots=True)
-class EdgeRecord:
-    """All transforms of one TF edge on one topic, in the order of arrival: stamps_ns (n,), xyt (n, 3); zero stamps."""
-
-    topic: str
-    parent: str
-    child: str
-    stamps_ns: NDArray[np.int64]
-    xyt: Array
-    zero_stamps: int
+    def complete(self) -> PathRecord:
+        """Return the record with its arrays, after the last message."""
+        self.stamps_ns, self.xyt, twist = map(np.concatenate, zip(*self._parts, strict=True))
+        if twist.size:
+            self.twist = twist
+            self.faults.paths.take(self.xyt[np.argsort(self.stamps_ns, kind="stable")])
+        self._parts.clear()
+        return self
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,20 +166,10 @@ class BagScan:
     """Topics by name, odometry, TF edges and frames by channel id (see `frame_of`) of a bag."""
 
     topics: dict[str, TopicRecord]
-    odometry: tuple[OdometryRecord, ...]
-    edges: tuple[EdgeRecord, ...]
+    odometry: tuple[PathRecord, ...]
+    edges: tuple[PathRecord, ...]
     channels: tuple[Channel, ...]
     placed: Mapping[int, str]
-
-
-@dataclass(slots=True)
-class _Odometry:
-    frame: str = ""
-    child: str = ""
-    pose_covariance: CovarianceCheck = field(default_factory=CovarianceCheck)
-    twist_covariance: CovarianceCheck = field(default_factory=CovarianceCheck)
-    faults: PoseFaults = field(default_factory=PoseFaults)
-    columns: defaultdict[str, list[NDArray[np.generic]]] = field(default_factory=lambda: defaultdict(list))
 
 
 def scan_bag(reader: BagReader, watch: Callable[[Block], None] = lambda _: None) -> BagScan:
@@ -178,8 +181,8 @@ def scan_bag(reader: BagReader, watch: Callable[[Block], None] = lambda _: None)
         If the bag cannot be read.
     """
     topics: dict[str, TopicRecord] = {}
-    odometry: dict[str, _Odometry] = {}
-    edges: dict[tuple[str, str, str], list[tuple[NDArray[np.int64], Array, int]]] = defaultdict(list)
+    odometry: dict[str, PathRecord] = {}
+    edges: dict[tuple[str, str, str], PathRecord] = {}
     seen: Counter[int] = Counter()
     placed: dict[int, str] = {}
     for block in reader.blocks():
@@ -194,26 +197,18 @@ def scan_bag(reader: BagReader, watch: Callable[[Block], None] = lambda _: None)
                 continue
             if channel.msgtype == ODOMETRY:
                 for layout in locate(block, channel):
-                    _take_odometry(odometry.setdefault(channel.topic, _Odometry()), block, layout)
+                    item = layout.items[0]
+                    new = PathRecord(channel.topic, item.frame_id, item.child_frame_id)
+                    odometry.setdefault(channel.topic, new).take(block, layout, item)
             elif channel.msgtype in TRANSFORMS:
                 for layout in locate(block, channel):
                     for item in layout.items:
                         key = (channel.topic, plain(item.frame_id), plain(item.child_frame_id))
-                        zeros = int(np.count_nonzero(gather_stamps_ns(block, layout, item) == 0))
-                        stamps_ns = stamps_or_log_ns(block, layout, item)
-                        edges[key].append((stamps_ns, planar_poses(poses_in(block, layout, item)), zeros))
+                        edges.setdefault(key, PathRecord(*key)).take(block, layout, item)
     return BagScan(
         dict(sorted(topics.items())),
-        tuple(_odometry(topic, taken) for topic, taken in sorted(odometry.items())),
-        tuple(
-            EdgeRecord(
-                *key,
-                np.concatenate([s for s, _, _ in parts]),
-                np.concatenate([p for _, p, _ in parts]),
-                sum(z for _, _, z in parts),
-            )
-            for key, parts in sorted(edges.items())
-        ),
+        tuple(record.complete() for _, record in sorted(odometry.items())),
+        tuple(record.complete() for _, record in sorted(edges.items())),
         tuple(reader.channels[number] for number in sorted(seen)),
         placed,
     )
@@ -230,38 +225,11 @@ def _count(topics: dict[str, TopicRecord], channel: Channel, block: Block) -> No
     record.last_ns = max(record.last_ns, int(times.max()))
 
 
-def _take_odometry(taken: _Odometry, block: Block, layout: Layout) -> None:
-    item = layout.items[0]
-    if not taken.columns:
-        taken.frame, taken.child = item.frame_id, item.child_frame_id
-    columns = taken.columns
-    poses = poses_in(block, layout, item)
-    stamps_ns, xyt = stamps_or_log_ns(block, layout, item), planar_poses(poses)
-    twist = gather(block, layout, item, "twist")[:, PLANAR]
-    columns["stamps"].append(stamps_ns)
-    columns["zero"].append(gather_stamps_ns(block, layout, item) == 0)
-    columns["xyt"].append(xyt)
-    columns["twist"].append(twist)
-    taken.faults.take(poses.position, poses.quat_xyzw)
-    taken.faults.twists.take(stamps_ns, xyt, twist)
-    taken.pose_covariance.take(gather(block, layout, item, "pose_covariance"))
-    taken.twist_covariance.take(gather(block, layout, item, "twist_covariance"))
-
-
-def _odometry(topic: str, taken: _Odometry) -> OdometryRecord:
-    whole = {name: np.concatenate(parts) for name, parts in taken.columns.items()}
-    taken.faults.paths.take(whole["xyt"][np.argsort(whole["stamps"], kind="stable")])
-    return OdometryRecord(
-        topic, taken.frame, taken.child, whole["stamps"], whole["xyt"], whole["twist"],
-        taken.pose_covariance, taken.twist_covariance, int(np.count_nonzero(whole["zero"])), taken.faults,
-    )  # fmt: skip
-
-
 MOVING = 0.05
 """Speed, m/s or rad/s, below which a robot counts as standing."""
 
 
-def _findings(record: OdometryRecord) -> dict[str, Any]:
+def _findings(record: PathRecord) -> dict[str, Any]:
     """Return motion and warnings (oddities) of one odometry topic, as values by name: metres, radians, seconds."""
     finite = np.isfinite(record.xyt).all(axis=1)
     near = (np.abs(np.nan_to_num(record.xyt[:, :2])) < FAR_M).all(axis=1)
@@ -349,7 +317,7 @@ def _twist_oddities(twist: Array, xyt: Array, dt: Array, good: NDArray[np.bool_]
     return odd
 
 
-def disagreement_m(record: OdometryRecord, edge: EdgeRecord, *, turned: bool) -> float | None:
+def disagreement_m(record: PathRecord, edge: PathRecord, *, turned: bool) -> float | None:
     """Return the largest difference between a TF edge and the odometry, metres; None without overlap in time.
 
     turned : whether the edge points from the base to odom
@@ -390,8 +358,13 @@ def summarise(
     drives, home = scan.odometry, None if source is None else source.topic
     if not drives and frames is not None:
         edge = _edge_that_drives(scan, frames, odom_topic)
-        drives, home = ((), None) if edge is None else ((_as_odometry(edge, frames),), edge.topic)
-        source = drives[0] if drives else None
+        drives, home, source = (), None, None
+        if edge is not None:  # TF is the odometry
+            xyt = edge.xyt if edge.frame == frames.odom else inverse(edge.xyt)
+            name, base = f"TF {frames.odom} -> {frames.base}", frames.base or ""
+            source = replace(edge, topic=name, frame=frames.odom, child=base, xyt=xyt, faults=PoseFaults())
+            source.faults.paths.take(xyt[np.argsort(edge.stamps_ns, kind="stable")])
+            drives, home = (source,), edge.topic
 
     def shares(topic: str, with_topic: str | None = home) -> bool:
         """Return whether two topics have the same TF tree; without a source there is no other robot."""
@@ -403,7 +376,7 @@ def summarise(
         if frames is not None
         and (o is source or (plain(o.frame) == frames.odom and shares(o.topic) and not says_truth(o.topic)))
     }
-    edges = [_edge(e, frames if shares(e.topic) else None) for e in scan.edges]
+    sides = [side_of(e.frame, e.child, frames) if frames is not None and shares(e.topic) else None for e in scan.edges]
     return {
         "odometry_source": None if source is None else source.topic,
         "odom_frame": None if frames is None else frames.odom,
@@ -424,18 +397,21 @@ def summarise(
             )
             for o in drives
         ],
-        "edges": edges,
+        "edges": [
+            {"topic": e.topic, "parent": e.frame, "child": e.child, "transforms": len(e.stamps_ns), "moved": bool(side)}
+            for e, side in zip(scan.edges, sides, strict=True)
+        ],
         "still_true": []
         if frames is None
         else [
             *topics_with_true_motion(scan.channels, moved, scan.placed, frames.odom),
             *sorted(
                 {
-                    f"{e.topic} {e.parent} -> {e.child}"
+                    f"{e.topic} {e.frame} -> {e.child}"
                     for e in scan.edges
                     if shares(e.topic)
-                    and side_of(e.parent, e.child, frames) is None
-                    and contains_truth(e.topic, e.parent, e.child, frames)
+                    and side_of(e.frame, e.child, frames) is None
+                    and contains_truth(e.topic, e.frame, e.child, frames)
                 }
             ),
         ],
@@ -499,7 +475,7 @@ def provenance_words(provenance: Mapping[str, str]) -> str:
     return ", ".join(["before", *parts, *model])
 
 
-def _source(scan: BagScan, asked: str | None) -> OdometryRecord | None:
+def _source(scan: BagScan, asked: str | None) -> PathRecord | None:
     if asked is None:
         return scan.odometry[0] if len(scan.odometry) == 1 else None
     for record in scan.odometry:
@@ -511,7 +487,7 @@ def _source(scan: BagScan, asked: str | None) -> OdometryRecord | None:
     raise TopicError(f"{asked}: is not a nav_msgs/Odometry topic with messages ({topics} is); name another one")
 
 
-def _frames(source: OdometryRecord | None, odom: str | None, base: str | None) -> Frames | None:
+def _frames(source: PathRecord | None, odom: str | None, base: str | None) -> Frames | None:
     stated = "" if source is None else plain(source.frame)
     if odom is None and (not stated or stated.rsplit("/", 1)[-1] in GLOBAL_FRAMES):
         return None
@@ -519,46 +495,27 @@ def _frames(source: OdometryRecord | None, odom: str | None, base: str | None) -
     return Frames(stated if odom is None else plain(odom), child or None)
 
 
-def _edge_that_drives(scan: BagScan, frames: Frames, topic: str | None) -> EdgeRecord | None:
+def _edge_that_drives(scan: BagScan, frames: Frames, topic: str | None) -> PathRecord | None:
     """Return the TF edge between odom and base; None if there is none."""
     for edge in scan.edges:
         asked = "static" not in edge.topic if topic is None else plain(edge.topic) == plain(topic)
-        if asked and {edge.parent, edge.child} == {frames.odom, frames.base}:
+        if asked and {edge.frame, edge.child} == {frames.odom, frames.base}:
             return edge
     return None
 
 
-def _as_odometry(edge: EdgeRecord, frames: Frames) -> OdometryRecord:
-    xyt = edge.xyt if edge.parent == frames.odom else inverse(edge.xyt)
-    name = f"TF {frames.odom} -> {frames.base}"
-    faults = PoseFaults()
-    faults.paths.take(xyt[np.argsort(edge.stamps_ns, kind="stable")])
-    return OdometryRecord(
-        name, frames.odom, frames.base or "", edge.stamps_ns, xyt, None, CovarianceCheck(), CovarianceCheck(),
-        edge.zero_stamps, faults,
-    )  # fmt: skip
-
-
-def _described(record: OdometryRecord, edges: Sequence[EdgeRecord], *, moved: bool) -> dict[str, Any]:
+def _described(record: PathRecord, edges: Sequence[PathRecord], *, moved: bool) -> dict[str, Any]:
     ends = {plain(record.frame), plain(record.child)}
-    edge = next((e for e in edges if {e.parent, e.child} == ends and "static" not in e.topic), None)
-    off = None if edge is None else disagreement_m(record, edge, turned=edge.parent != plain(record.frame))
+    edge = next((e for e in edges if {e.frame, e.child} == ends and "static" not in e.topic), None)
+    off = None if edge is None else disagreement_m(record, edge, turned=edge.frame != plain(record.frame))
     return {
         "topic": record.topic, "frame": record.frame, "child": record.child, "moved": moved,
         **_findings(record), "tf_differs_m": off,
     }  # fmt: skip
 
 
-def _edge(edge: EdgeRecord, frames: Frames | None) -> dict[str, Any]:
-    side = None if frames is None else side_of(edge.parent, edge.child, frames)
-    return {
-        "topic": edge.topic, "parent": edge.parent, "child": edge.child,
-        "transforms": len(edge.stamps_ns), "moved": side is not None,
-    }  # fmt: skip
-
-
 def _remarks(
-    scan: BagScan, source: OdometryRecord | None, frames: Frames | None, edges: Sequence[EdgeRecord], *,
+    scan: BagScan, source: PathRecord | None, frames: Frames | None, edges: Sequence[PathRecord], *,
     asked_frame: str | None,
 ) -> list[str]:  # fmt: skip
     said = []
@@ -577,18 +534,18 @@ def _remarks(
     elif frames is None and asked_frame is None:
         said.append(f"{source.topic} is in frame {source.frame!r}: name the frame that is to drift with --odom-frame")
     odom, base = (None, None) if frames is None else (frames.odom, frames.base)
-    said += frame_faults([(e.parent, e.child) for e in edges], odom, base)
+    said += frame_faults([(e.frame, e.child) for e in edges], odom, base)
     if frames is not None:
-        moved = [e for e in edges if side_of(e.parent, e.child, frames) is not None]
+        moved = [e for e in edges if side_of(e.frame, e.child, frames) is not None]
         for e in (e for e in moved if "static" in e.topic):
             said.append(
-                f"/tf_static holds {e.parent} -> {e.child}: published once for all time, it cannot follow a drift"
+                f"/tf_static holds {e.frame} -> {e.child}: published once for all time, it cannot follow a drift"
             )
         for e in moved if scan.odometry else ():
             path = Alternation()
             path.take(e.xyt[np.argsort(e.stamps_ns, kind="stable")])
-            said += [f"TF {e.parent} -> {e.child}: {path.sentence()}"] if path.alternates else []
-        said += localisation_words({f"{e.parent} -> {e.child}": e.topic for e in edges}, frames, scan.channels)
+            said += [f"TF {e.frame} -> {e.child}: {path.sentence()}"] if path.alternates else []
+        said += localisation_words({f"{e.frame} -> {e.child}": e.topic for e in edges}, frames, scan.channels)
         if not moved:
             said.append(f"no transform from or to {frames.odom} would move")
     return said
@@ -613,14 +570,14 @@ def summary_text(values: dict[str, Any]) -> str:
         fate = "moves" if by_topic.get(t["topic"], {}).get("moved") else ""
         fate = "contains the true motion" if t["topic"] in values["still_true"] else fate
         rows.append((t["topic"], t["type"].replace("/msg/", "/"), str(t["messages"]), rate, fate))
-    lines = _table(rows)
+    lines = aligned(rows, [i for i, head in enumerate(rows[0]) if head in _RIGHT])
     shown = [e for e in values["edges"] if e["moved"] or "static" not in e["topic"]]
     if shown:
         rows = [("edge", "topic", "transforms", "")]
         for e in shown:
             fate = "moves" if e["moved"] else ""
             rows.append((f"{e['parent']} -> {e['child']}", e["topic"], str(e["transforms"]), fate))
-        lines += ["", *_table(rows)]
+        lines += ["", *aligned(rows, [i for i, head in enumerate(rows[0]) if head in _RIGHT])]
     if len(shown) < len(values["edges"]):
         lines.append(f"and {len(values['edges']) - len(shown)} static edges that stay")
     for o in values["odometry"]:
@@ -647,16 +604,6 @@ def _about(o: dict[str, Any], *, source: bool) -> list[str]:
     return lines
 
 
+_RIGHT = ("messages", "Hz", "transforms")
+"""Columns of numbers."""
 _COUNTS = {"restarts": "restarts of time", "swapped": "messages out of order", "jumps": "jumps of the pose"}
-
-
-def _table(rows: list[tuple[str, ...]]) -> list[str]:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    right = {"messages", "Hz", "transforms"}
-    return [
-        "  ".join(
-            cell.rjust(width) if head in right else cell.ljust(width)
-            for cell, width, head in zip(row, widths, rows[0], strict=True)
-        ).rstrip()
-        for row in rows
-    ]

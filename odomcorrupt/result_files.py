@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from os import PathLike, fspath
+from pathlib import Path
 
 from odomcorrupt.errors import OdomCorruptError
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def refuse_existing(path: Path | None, *, overwrite: bool) -> None:
@@ -16,6 +14,14 @@ def refuse_existing(path: Path | None, *, overwrite: bool) -> None:
         raise OdomCorruptError(f"{path}: exists already; choose another name or pass --overwrite")
     if path is not None and not path.parent.is_dir():
         raise OdomCorruptError(f"{path}: the directory {path.parent} does not exist; create it first")
+
+
+def write_new(path: str | PathLike[str], data: bytes, *, overwrite: bool) -> Path:
+    """Write a file that does not exist, unless it may be replaced; return its path."""
+    target = Path(fspath(path))
+    refuse_existing(target, overwrite=overwrite)
+    write_bytes(target, data)
+    return target
 
 
 def write_text(path: Path, text: str) -> None:

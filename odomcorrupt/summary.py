@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from odomcorrupt.standard_streams import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Container, Sequence
 
 MOST_LINES = 8
 """Lines of a summary, read without scrolling; one more if it is the only one left, others before a long command."""
@@ -111,6 +111,14 @@ class Summary(NamedTuple):
         """The verdict in one line, for a repr."""
         first = self.lines[0]
         return f"{first.label} {first.text}".strip()
+
+
+def aligned(rows: Sequence[Sequence[str]], right: Container[int]) -> list[str]:
+    """Return rows of a table with their columns aligned, to the right those whose numbers are given."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    sides = [">" if i in right else "<" for i in range(len(widths))]
+    cells = ([f"{c:{side}{w}}" for c, side, w in zip(row, sides, widths, strict=True)] for row in rows)
+    return ["  ".join(row).rstrip() for row in cells]
 
 
 def wrapped(text: str, width: int) -> str:

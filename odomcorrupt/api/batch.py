@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Unpack, cast
+from typing import TYPE_CHECKING, Any, Literal, Unpack, cast
 
 from odomcorrupt.api.bag_options import BagOptions, as_condition, split_options
 from odomcorrupt.api.model import ModelLike, as_model
@@ -202,15 +202,6 @@ class BatchOptions(BagOptions, total=False):
     map_words: tuple[str, ...]
 
 
-class _Plan(NamedTuple):
-    """Jobs of a batch, the numbers of their runs, and which of these to make in how many processes."""
-
-    jobs: list[Job]
-    runs: range
-    shard: Shard
-    processes: int
-
-
 def batch(
     inputs: PathLikes,
     directory: str | PathLike[str],
@@ -256,16 +247,16 @@ def batch(
     """
     if options.get("shard") and dask:
         raise BatchOptionError("--shard and --dask: both spread the runs; give one of them")
-    planned = _plan(inputs, directory, model, runs, seed, options)
-    require_odometry(planned.jobs)
-    require_space(planned.jobs, planned.runs, planned.shard)
-    with nullcontext() if progress is None else progress(len(planned.jobs) * runs) as audience:
+    jobs, shard = _plan(inputs, directory, model, runs, seed, options), Shard(*(options.get("shard") or (1, 1)))
+    require_odometry(jobs)
+    require_space(jobs, range(runs), shard)
+    with nullcontext() if progress is None else progress(len(jobs) * runs) as audience:
         made = run_batch(
-            planned.jobs, planned.runs, processes=planned.processes, shard=planned.shard, verify=verify, dask=dask,
+            jobs, range(runs), processes=options.get("jobs", 1), shard=shard, verify=verify, dask=dask,
             audience=audience,
         )  # fmt: skip
     failures = tuple((run, str(BatchError(why))) for run, why in made.failures)
-    return Batch(Path(fspath(directory)), tuple(planned.jobs), made.runs, failures)
+    return Batch(Path(fspath(directory)), tuple(jobs), made.runs, failures)
 
 
 def estimate_batch(
@@ -297,9 +288,9 @@ def estimate_batch(
     >>> oc.estimate_batch("fixtures/office.mcap", "many", runs=1000, output="overlay").result.runs
     1000
     """
-    planned = _plan(inputs, directory, model, runs, seed, options)
-    need = need_of(planned.jobs, planned.runs, planned.shard)
-    return BatchCost(need, planned.processes, planned.jobs[0].batch.output)
+    jobs = _plan(inputs, directory, model, runs, seed, options)
+    need = need_of(jobs, range(runs), Shard(*(options.get("shard") or (1, 1))))
+    return BatchCost(need, options.get("jobs", 1), jobs[0].batch.output)
 
 
 def _plan(
@@ -309,13 +300,13 @@ def _plan(
     runs: int,
     seed: int | None,
     options: BatchOptions,
-) -> _Plan:
+) -> list[Job]:
     """Return the jobs of a batch."""
     own = set(BatchOptions.__annotations__) - set(BagOptions.__annotations__)
     given: dict[str, Any] = {name: value for name, value in options.items() if name in own}
     moved, container = split_options(cast("BagOptions", {k: v for k, v in options.items() if k not in own}))
     alike = {name: given[name] for name in ("points", "output", "to", "model_words", "map_words") if name in given}
-    jobs, shard, fleet = given.get("jobs", 1), given.get("shard"), given.get("fleet", ())
+    jobs, fleet = given.get("jobs", 1), given.get("fleet", ())
     for name, count in (("runs", runs), ("jobs", jobs)):
         if count < 1:
             raise BatchError(f"{name}: {count}; make one or more")
@@ -324,7 +315,7 @@ def _plan(
     if len(set(fleet)) < len(fleet):
         raise BatchOptionError("--fleet: a file is named twice; a robot counts once")
     robots = {fspath(path): read_model(Path(fspath(path))) for path in fleet}
-    if shard and seed is None:
+    if given.get("shard") and seed is None:
         raise BatchOptionError("--shard: all shards need the same --seed; give one")
     file = given.get("model_file")
     if isinstance(model, str | PathLike) and fspath(model).endswith(".toml"):
@@ -344,7 +335,7 @@ def _plan(
         also=tuple(given.get("also", ())),
         **alike,
     )
-    return _Plan(plan(as_paths(inputs), target, spec), range(runs), Shard(*(shard or (1, 1))), jobs)
+    return plan(as_paths(inputs), target, spec)
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -65,8 +65,19 @@ class Integration(Result):
         whole += f" ({hertz:.3g} Hz)"
         lines = [Line("INTEGRATED", whole, "good"), Line("rule", f"{self.rule}, a twist holds {_HELD[self.hold]}")]
         lines += [Line("note", note, "warning") for note in drive.notes]
-        for label, sentences in (("error", self._errors), ("noise", self._spread)):
-            lines += [Line("" if i else label, sentence) for i, sentence in enumerate(sentences)]
+        label = "error"
+        for error, name in ((self.truth_error, self.truth_topic), (self.own_error, drive.topic)):
+            if error is not None:
+                most = f"at most {error.position_m.max():.4f} m and {np.abs(error.heading_rad).max():.4f} rad"
+                lines.append(Line(label, f"against {name}: {most}"))
+                label = ""
+        if self.twist_noise is not None:
+            white = "{:g} m/s and {:g} rad/s".format(*self.twist_noise)
+            ends = self.runs_xyt[:, -1] - self.xyt[-1]
+            position, heading = np.sqrt((ends[:, :2] ** 2).sum(axis=1).mean()), np.sqrt((ends[:, 2] ** 2).mean())
+            said = f"{len(self.runs_xyt)} runs with white noise of {white} on every twist, seed {self.seed}"
+            apart = f"they end {position:.3g} m and {heading:.3g} rad away (RMS), which depends on the message rate"
+            lines += [Line("noise", said), Line("", apart)]
         return Summary(tuple(lines))
 
     def _values(self) -> dict[str, Any]:
@@ -116,29 +127,6 @@ class Integration(Result):
         v, omega = self.twist_noise
         title = f"Velocities with white noise of {v:g} m/s and {omega:g} rad/s"
         return draw_runs(self.runs_xyt, error.truth_xyt, name, title)
-
-    @property
-    def _errors(self) -> list[str]:
-        """Distance of the integrated odometry from the truth, and from the bag's own poses."""
-        return [
-            f"against {name}: at most {error.position_m.max():.4f} m and {np.abs(error.heading_rad).max():.4f} rad"
-            for error, name in ((self.truth_error, self.truth_topic), (self.own_error, self.drive.topic))
-            if error is not None
-        ]
-
-    @property
-    def _spread(self) -> list[str]:
-        """Distance of the ends of noisy runs from that of the path without noise."""
-        if self.twist_noise is None:
-            return []
-        v, omega = self.twist_noise
-        ends = self.runs_xyt[:, -1] - self.xyt[-1]
-        position, heading = np.sqrt((ends[:, :2] ** 2).sum(axis=1).mean()), np.sqrt((ends[:, 2] ** 2).mean())
-        runs = len(self.runs_xyt)
-        return [
-            f"{runs} runs with white noise of {v:g} m/s and {omega:g} rad/s on every twist, seed {self.seed}",
-            f"they end {position:.3g} m and {heading:.3g} rad away (RMS), which depends on the message rate",
-        ]
 
 
 def integrate(

@@ -20,7 +20,7 @@ from odomcorrupt.model.model_file import format_model, parse_effect, read_model
 from odomcorrupt.model.motion_model import MotionModel, Step, parse_alpha
 from odomcorrupt.model.noise_laws import law_named
 from odomcorrupt.model.presets import PRESETS, preset_named
-from odomcorrupt.result_files import refuse_existing, write_text
+from odomcorrupt.result_files import write_new
 from odomcorrupt.sampling.convert import convert, drift_of, drift_words, flags_of
 from odomcorrupt.summary import Line, Summary, command_line
 
@@ -125,11 +125,11 @@ class Conversion(Result):
         return Summary((*lines, command_line(f"odomcorrupt in.bag out.bag {flags_of(self.after)}")))
 
     def _values(self) -> dict[str, Any]:
-        def side(noise: motion_model.Noise) -> dict[str, Any]:
-            step = None if noise.step is None else str(noise.step)
-            return {"law": noise.law_name, "step": step, "coefficients": asdict(noise.coefficients)}
-
-        return {"from": side(self.before), "to": side(self.after), "variance_growth": asdict(drift_of(self.after))}
+        before, after = (
+            {"law": noise.law_name, "step": noise.step and str(noise.step), "coefficients": asdict(noise.coefficients)}
+            for noise in (self.before, self.after)
+        )
+        return {"from": before, "to": after, "variance_growth": asdict(drift_of(self.after))}
 
     def rows(self) -> list[dict[str, Any]]:
         """Return law, step and coefficients: one row before, one after."""
@@ -254,10 +254,7 @@ class Model:
         OdomCorruptError
             If the file exists and `overwrite` is false.
         """
-        target = Path(fspath(path))
-        refuse_existing(target, overwrite=overwrite)
-        write_text(target, self.toml())
-        return target
+        return write_new(path, self.toml().encode(), overwrite=overwrite)
 
     def toml(self) -> str:
         """Return the text of the model file, as `save` writes it."""
@@ -453,10 +450,7 @@ class Export(Result):
         OdomCorruptError
             If the file exists and `overwrite` is false.
         """
-        target = Path(fspath(path))
-        refuse_existing(target, overwrite=overwrite)
-        write_text(target, self.result.text + "\n")
-        return target
+        return write_new(path, f"{self.result.text}\n".encode(), overwrite=overwrite)
 
 
 def export_parameters(

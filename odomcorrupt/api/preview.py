@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import Block
     from odomcorrupt.forecasting import Forecast
-    from odomcorrupt.inspection import OdometryRecord
+    from odomcorrupt.inspection import PathRecord
     from odomcorrupt.mapping.conditioned import MapCondition
 
 
@@ -114,7 +114,7 @@ def info(
     return Info(fspath(bag), values | {"provenance": [*watcher.provenance(path)]}, losses)
 
 
-def _mistakes(record: OdometryRecord) -> list[str]:
+def _mistakes(record: PathRecord) -> list[str]:
     """Return the plain mistakes that odometry shows without a truth; none without the libraries of the study."""
     try:
         from odomcorrupt.study.io.first_look import mistakes_alone

@@ -42,19 +42,19 @@ if TYPE_CHECKING:
 
 
 class MeasuredPath:
-    """Collects the measured odometry; a reset of time begins a new stretch."""
+    """Collects the path of the odometry in `parts`; a reset of time begins a new stretch."""
 
     def __init__(self) -> None:
-        self._parts: list[list[PathSamples]] = [[]]
+        self.parts: list[list[PathSamples]] = [[]]
 
     def restart(self) -> None:
         """Begin a new stretch."""
-        self._parts.append([])
+        self.parts.append([])
 
     def add(self, samples: PathSamples) -> None:
         """Append the next part of the path."""
         if len(samples):
-            self._parts[-1].append(samples)
+            self.parts[-1].append(samples)
 
     def corrected(self, model: MotionModel, start_xyt: Array | None = None) -> list[PathSamples | None]:
         """Return each stretch corrected; None for one without measurements.
@@ -64,7 +64,7 @@ class MeasuredPath:
         stretches: list[PathSamples | None] = []
         frame_xyt: Array | None = None
         first_ns: int | None = None
-        for parts in self._parts:
+        for parts in self.parts:
             if not parts:
                 stretches.append(None)
                 continue
