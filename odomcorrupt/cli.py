@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import errno
 import gc
-import importlib
 import os
 import signal
 import sys
@@ -19,7 +18,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from odomcorrupt import __version__
-from odomcorrupt.commands._standard import WORDS, command_names
+from odomcorrupt.commands._standard import WORDS, command_named, command_names
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.extras import explained
 from odomcorrupt.standard_streams import install, leave, visible
@@ -43,13 +42,7 @@ class _Group(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002 - as above
         """Return a command, importing its module."""
-        module = command_names().get(cmd_name)
-        return None if module is None else importlib.import_module(module).command
-
-    @property
-    def _default(self) -> click.Command:
-        command: click.Command = importlib.import_module(command_names()[DEFAULT]).command
-        return command
+        return command_named(cmd_name) if cmd_name in command_names() else None
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Select by the first token: a command, a flag of the group, or else the default command."""
@@ -63,9 +56,10 @@ class _Group(click.Group):
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """Complete commands, and arguments of the default command."""
         found = super().shell_complete(ctx, incomplete)
-        sub = click.Context(self._default, parent=ctx, resilient_parsing=True)
+        default = command_named(DEFAULT)
+        sub = click.Context(default, parent=ctx, resilient_parsing=True)
         known = {item.value for item in found}
-        found += [item for item in self._default.shell_complete(sub, incomplete) if item.value not in known]
+        found += [item for item in default.shell_complete(sub, incomplete) if item.value not in known]
         if not incomplete.startswith("-"):
             found.append(CompletionItem(incomplete, type="file"))
         return found
@@ -77,7 +71,7 @@ class _Group(click.Group):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the default command's options, the group's own, and the commands."""
-        options = [p for p in self._default.params if isinstance(p, click.Option)]
+        options = [p for p in command_named(DEFAULT).params if isinstance(p, click.Option)]
         rows = [record for p in (*options, *self.get_params(ctx)) if (record := p.get_help_record(ctx)) is not None]
         with formatter.section("Options"):
             formatter.write_dl(rows)

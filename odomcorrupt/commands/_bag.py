@@ -9,18 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._options import FILE, Number, Setting, added, setting, valued
+from odomcorrupt.commands._options import FILE, Setting, added, number, setting, valued
 from odomcorrupt.commands._standard import overwrite_option
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from odomcorrupt.api.bag_options import BagOptions
-
-_ALIKE = ("odom_topic", "odom_frame", "base_frame", "keep_truth", "keep_localisation", "new_odom_frame", "consistent",
-          "scan_noise", "scan_keep", "scan_every", "imu", "overwrite", "compression", "level", "storage", "exclude",
-          "rename", "recover", "threads")  # fmt: skip
-"""Options with the same name here and in the Python interface."""
 
 _RECOVER = click.option(
     "--recover", is_flag=True, help="Read the intact part of a damaged bag; the exit code is 3 if data are lost."
@@ -43,6 +38,9 @@ keeping_options = added(
 )
 """Adds the options that leave twists or covariances unchanged."""
 
+keep_localisation_option = click.option(
+    "--keep-localisation", is_flag=True, help="Invert the change in map -> odom, so that map -> base is unchanged."
+)
 moving_options = added(
     frame_options,
     keeping_options,
@@ -51,12 +49,11 @@ moving_options = added(
         help="Odometry of another robot in the bag, corrupted with a drift of its own (repeatable).",
     ),
     click.option("--keep-truth", metavar="TOPIC", help="Keep the clean odometry on this additional topic."),
-    click.option("--keep-localisation", is_flag=True,
-                 help="Invert the change in map -> odom, so that map -> base is unchanged."),
+    keep_localisation_option,
     click.option("--consistent", is_flag=True, help="Rewrite wheels, ticks, twists, gyros to the noisy motion, too."),
-    valued("--scan-noise", kind=Number("metres", 0.0, 100.0), default=0.0, metavar="M", cls=Setting,
+    valued("--scan-noise", kind=number("metres", 0.0, 100.0), default=0.0, metavar="M", cls=Setting,
            text="Standard deviation of noise on the ranges of laser scans, metres."),
-    valued("--scan-keep", kind=Number("a part of 1", 0.0, 1.0), default=1.0, metavar="PART", cls=Setting,
+    valued("--scan-keep", kind=number("a part of 1", 0.0, 1.0), default=1.0, metavar="PART", cls=Setting,
            text="Part of the beams of laser scans that is kept; the others become NaN."),
     setting("--scan-every", type=click.IntRange(1), default=1, metavar="N",
             help="Keep every N-th laser scan of a topic, and leave the others out."),
@@ -146,13 +143,15 @@ def bag_words(given: Mapping[str, Any]) -> BagOptions:
     click.UsageError
         If only one of --tf correction and its frame is given.
     """
+    from odomcorrupt.api.bag_options import BagOptions
+
     tf = given.get("tf", "odometry")
     if (tf != "odometry") != (given.get("new_odom_frame") is not None):
         word = "correction" if tf == "odometry" else tf
         raise click.UsageError(f"--tf {word} and --new-odom-frame FRAME go together; give both or neither")
     if given.get("consistent") and tf != "odometry":
         raise click.UsageError(f"--consistent and --tf {tf}: the odometry keeps the true motion; leave one out")
-    options: Any = {name: given[name] for name in _ALIKE if name in given}
+    options: Any = {name: given[name] for name in BagOptions.__annotations__ if name in given}
     for name in ("twist", "covariance"):
         if name in given:
             options[f"keep_{name}"] = given[name] == "keep"
@@ -172,16 +171,8 @@ def source_of(input_: str) -> Path | None:
     return None
 
 
-class _Unlisted(click.Argument):
-    """An argument that is not in the usage line."""
-
-    def get_usage_pieces(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
-        """Return nothing."""
-        return []
-
-
-further_inputs = click.argument("further", nargs=-1, type=click.Path(), cls=_Unlisted)
-"""Takes the files that a shell makes of run_*.bag."""
+further_inputs = click.argument("further", nargs=-1, type=click.Path(), metavar="")
+"""Takes the files that a shell makes of run_*.bag; not in the usage line."""
 
 
 def one_input(files: Sequence[str]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -12,15 +12,15 @@ from click.core import ParameterSource
 from odomcorrupt.commands._options import (
     EFFECTS,
     FILE,
-    POSE,
     TRACK,
     Decorator,
-    EffectText,
-    Number,
     Setting,
     added,
     completing,
+    number,
+    pose,
     setting,
+    typed_effects,
     usage_errors,
     valued,
 )
@@ -42,7 +42,7 @@ _FEWEST, _MOST = 4, 6
 _NUMBER = re.compile(r"-?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?(deg|rad)?(/(m|rad))?\Z")
 
 effect_option = setting(
-    "--effect", "--add", "effects", multiple=True, type=EffectText(), metavar="NAME:KEY=VALUE,...",
+    "--effect", "--add", "effects", multiple=True, callback=typed_effects, metavar="NAME:KEY=VALUE,...",
     shell_complete=EFFECTS, help="Systematic error (repeatable).",
 )  # fmt: skip
 track_option = setting(
@@ -194,16 +194,6 @@ def _refined(model: Model, step: str | None, twist_noise: tuple[float, float] | 
     return Model.of(replace(model.motion_model, noise=noise), model.origin)
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class ChosenMove:
-    """A motion (poses before and after it, metres and radians) with its noise, and the number of samples."""
-
-    model: Model
-    start_xyt: tuple[float, ...]
-    end_xyt: tuple[float, ...]
-    count: int
-
-
 move_options = added(
     _model_options("the noise of --example; along a bag typical"),
     click.option(
@@ -212,8 +202,8 @@ move_options = added(
         "rotation-heavy. "
         "[default: article]",
     ),
-    click.option("--start", type=POSE, help="Odometry before the motion, as in 0,0,30deg."),
-    click.option("--end", type=POSE, help="Odometry after the motion, as in 0.2,0.35,10deg."),
+    click.option("--start", type=pose, help="Odometry before the motion, as in 0,0,30deg."),
+    click.option("--end", type=pose, help="Odometry after the motion, as in 0.2,0.35,10deg."),
     click.option("-n", "--samples", "count", type=click.IntRange(2, 10_000_000), help="[default: the example's]"),
 )  # fmt: skip
 """Adds the options of `choose_move`."""
@@ -240,8 +230,8 @@ def _choose_noise(given: Mapping[str, Any], example: str | None) -> Model:
         return _refined(Model.of(MotionModel(noise), chosen_example.source), given["step"], None)
 
 
-def choose_move(given: Mapping[str, Any]) -> ChosenMove:
-    """Return the motion and the noise of the options."""
+def choose_move(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return model, motion and number of samples of the options, as arguments of `sample`."""
     import numpy as np
 
     from odomcorrupt.geometry.se2 import between, compose
@@ -259,16 +249,16 @@ def choose_move(given: Mapping[str, Any]) -> ChosenMove:
     start = np.array(begin if given["start"] is None else given["start"])
     motion = between(np.array(example.start_xyt), np.array(example.end_xyt))
     end = compose(start, motion) if given["end"] is None else np.array(given["end"])
-    return ChosenMove(model, tuple(start.tolist()), tuple(end.tolist()), given["count"] or example.count)
+    return {"model": model, "start_xyt": start, "end_xyt": end, "count": given["count"] or example.count}
 
 
 map_options = added(
     click.option("--map", "map_", metavar="MAP", help="Draw free poses only: a map's .yaml, or a topic of the bag."),
     setting(
-        "--map-pose", type=POSE, help="Pose of the odom frame in the map. [default: TF of the bag; without a bag 0,0,0]"
+        "--map-pose", type=pose, help="Pose of the odom frame in the map. [default: TF of the bag; without a bag 0,0,0]"
     ),
     valued(
-        "--robot-radius", "radius", kind=Number("metres", 0.0, 100.0), default=0.2, text="Radius of the robot, metres.",
+        "--robot-radius", "radius", kind=number("metres", 0.0, 100.0), default=0.2, text="Radius of the robot, metres.",
         cls=Setting,
     ),
     valued(

@@ -15,12 +15,10 @@ from click.shell_completion import CompletionItem
 
 from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.extras import require
-from odomcorrupt.result_files import refuse_existing, write_bytes
+from odomcorrupt.result_files import refuse_existing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
-
-    from matplotlib.figure import Figure
 
 FILE = click.Path(dir_okay=False, path_type=Path)
 Decorator: TypeAlias = "Callable[[Callable[..., Any]], Callable[..., Any]]"
@@ -53,19 +51,13 @@ MODELS = completing("model.presets", "PRESETS", files=True)
 EFFECTS = completing("effects", "registry")
 
 
-class EffectText(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
-    """An effect as NAME:KEY=VALUE,...; code, as in my_file.Wobble, only if typed, not from a file of defaults."""
-
-    name = "text"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Return the text."""
-        text = str(value)
-        source = None if ctx is None or param is None else ctx.get_parameter_source(param.name or "")
+def typed_effects(ctx: click.Context, option: click.Parameter, effects: tuple[str, ...]) -> tuple[str, ...]:
+    """Return effects as NAME:KEY=VALUE,...; code, as in my_file.Wobble, only if typed, not from a file of defaults."""
+    for text in effects if ctx.get_parameter_source(option.name or "") is ParameterSource.DEFAULT_MAP else ():
         name = text.partition(":")[0]
-        if source is ParameterSource.DEFAULT_MAP and "." in name and "=" not in name:
-            self.fail(f"{text}: names code, which a file of defaults may not; type it: --effect {text}", param, ctx)
-        return text
+        if "." in name and "=" not in name:
+            raise click.BadParameter(f"{text}: names code, which a file of defaults may not; type it: --effect {text}")
+    return effects
 
 
 def added(*options: Decorator) -> Decorator:
@@ -142,84 +134,62 @@ run_options = added(
 OUTPUT, PICTURE, PAGE = OutputFile(), OutputFile(*PICTURES), OutputFile(drawn=True)
 
 
-class Number(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
-    """A finite number within bounds; unlike FloatRange, it refuses nan and infinity.
+def number(
+    unit: str, low: float = -1e12, high: float = 1e12, *, above: bool = False, share: bool = False, else_: str = ""
+) -> Callable[[object], float]:
+    """Return a type of finite numbers within bounds; unlike FloatRange, it refuses nan and infinity.
 
-    low, high : bounds; high is allowed, and low unless `above`
     unit : description for messages, as in "metres between the wheels"
+    low, high : bounds; high is allowed, and low unless `above`
+    share : whether it is a fraction that is also accepted in percent: 0.003 or 0.3%
+    else_ : way out, for messages
     """
 
-    name = "float"
-
-    def __init__(
-        self, unit: str, low: float = -1e12, high: float = 1e12, *, above: bool = False, else_: str = ""
-    ) -> None:
-        self._unit, self._low, self._high, self._above = unit, low, high, above
-        self._else = f"; {else_}" if else_ else ""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the number."""
+    def read(value: object) -> float:
+        text = str(value).strip().removesuffix("%") if share else str(value)
         try:
-            number = float(value)
+            found = float(text)
         except ValueError:
-            number = float("nan")
-        enough = number > self._low if self._above else number >= self._low
-        if not (isfinite(number) and enough and number <= self._high):
-            start = f"more than {self._low:g}" if self._above else f"{self._low:g} or more"
-            self.fail(f"{value}; write {self._unit}, {start} and at most {self._high:g}{self._else}", param, ctx)
-        return number
+            found = float("nan")
+        enough = found > low if above else found >= low
+        if not (isfinite(found) and enough and found <= high):
+            start = f"more than {low:g}" if above else f"{low:g} or more"
+            said = f"{text}; write {unit}, {start} and at most {high:g}{f'; {else_}' if else_ else ''}"
+            raise click.BadParameter(said)
+        return found / 100.0 if share and str(value).strip().endswith("%") else found
+
+    read.__name__ = "float"  # click shows it on help pages
+    return read
 
 
-class Share(Number):
-    """A fraction, also accepted in percent: 0.003 or 0.3%."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the number."""
-        text = str(value).strip()
-        number = super().convert(text.removesuffix("%"), param, ctx)
-        return number / 100.0 if text.endswith("%") else number
+TRACK = number("metres between the wheels", 0.0, 10.0, above=True, else_="42.3 cm are 0.423; leave it out if unknown")
 
 
-TRACK = Number("metres between the wheels", 0.0, 10.0, above=True, else_="42.3 cm are 0.423; leave it out if unknown")
+def pose(value: Any, else_: str = "") -> Any:
+    """Return a pose, "x,y,heading" in metres and radians, as three floats; the heading may be in degrees, as 30deg."""
+    from odomcorrupt.model.motion_model import parse_alpha
+
+    if not isinstance(value, str):
+        return value
+    parts = value.split(",")
+    try:
+        found = tuple(parse_alpha(part) for part in parts)
+    except ModelError:
+        found = ()
+    if len(found) != 3 or "deg" in parts[0] + parts[1]:
+        raise click.BadParameter(f"{value!r} is not a pose; write x,y,heading as in 0.2,0.35,10deg{else_}")
+    # a full turn: a larger heading without a unit is most likely in degrees
+    if abs(found[2]) > 6.2832 and "deg" not in parts[2]:
+        raise click.BadParameter(f"{value!r} has a heading of {found[2]:g} rad; write {found[2]:g}deg for degrees")
+    return found
 
 
-class _Pose(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
-    """A pose, "x,y,heading" in metres and radians; the heading may be in degrees, as in 30deg."""
-
-    name = "X,Y,THETA"
-    _else = ""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the pose as a tuple of three floats."""
-        from odomcorrupt.model.motion_model import parse_alpha
-
-        if not isinstance(value, str):
-            return value
-        parts = value.split(",")
-        try:
-            pose = tuple(parse_alpha(part) for part in parts)
-        except ModelError:
-            pose = ()
-        if len(pose) != 3 or "deg" in parts[0] + parts[1]:
-            self.fail(f"{value!r} is not a pose; write x,y,heading as in 0.2,0.35,10deg{self._else}", param, ctx)
-        # a full turn: a larger heading without a unit is most likely in degrees
-        if abs(pose[2]) > 6.2832 and "deg" not in parts[2]:
-            self.fail(f"{value!r} has a heading of {pose[2]:g} rad; write {pose[2]:g}deg for degrees", param, ctx)
-        return pose
+def start(value: Any) -> Any:
+    """Return a pose, or "odom" for the origin of the odometry's frame."""
+    return value if value == "odom" else pose(value, ", or odom")
 
 
-class _Start(_Pose):
-    """A pose, or "odom" for the origin of the odometry's frame."""
-
-    name = "X,Y,THETA|odom"
-    _else = ", or odom"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the pose as a tuple of three floats, or the word."""
-        return value if value == "odom" else super().convert(value, param, ctx)
-
-
-POSE, START = _Pose(), _Start()
+pose.__name__, start.__name__ = "X,Y,THETA", "X,Y,THETA|odom"
 
 
 def words_of(option: click.Parameter, value: Any) -> Iterator[str]:
@@ -239,10 +209,3 @@ def usage_errors(kind: type[OdomCorruptError], before: str = "") -> Iterator[Non
         yield
     except kind as error:
         raise click.UsageError(f"{before}{error}") from error
-
-
-def save_picture(path: Path, figure: Figure) -> None:
-    """Write a figure in the format of its file name, completely or not at all."""
-    from odomcorrupt.report.plots.figure import rendered
-
-    write_bytes(path, rendered(figure, kind_of(path)))

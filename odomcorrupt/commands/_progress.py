@@ -153,13 +153,8 @@ class Rate(_Line):
 
     def _count(self, more: str) -> None:
         parts = sum(runs * part for runs, part in self._parts.values())
-        self._say(f"{left_words(self._done + parts, self._total, time.monotonic() - self._begun_s)}{more}")
-
-
-def left_words(done: float, total: int, spent_s: float) -> str:
-    """Return runs completed, rate and remaining time in words; rate and time include partly completed runs."""
-    rate = done / spent_s if spent_s > 0.0 else 0.0
-    if rate <= 0.0:
-        return f"{int(done)} of {total} runs"
-    left_s = (total - done) / rate
-    return f"{int(done)} of {total} runs, {rate:.3g} a second, {_duration(left_s)} left"
+        done, spent_s = self._done + parts, time.monotonic() - self._begun_s
+        said, rate = f"{int(done)} of {self._total} runs", done / spent_s if spent_s > 0.0 else 0.0
+        if rate > 0.0:
+            said += f", {rate:.3g} a second, {_duration((self._total - done) / rate)} left"
+        self._say(said + more)

@@ -12,7 +12,7 @@ import click
 from click.core import ParameterSource
 
 from odomcorrupt.commands._bag import unpack_option
-from odomcorrupt.commands._options import PAGE, TRACK, Decorator, Number, OutputFile, Share, added, setting, words_of
+from odomcorrupt.commands._options import PAGE, TRACK, Decorator, OutputFile, added, number, setting, words_of
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import written
 from odomcorrupt.drive_types import AUTO, DRIVE_TYPES
@@ -96,7 +96,7 @@ _OTHERS = (
         help="Bag, TUM or CSV file with the truth, where the recording has none: one for all, or one for each.",
     ),
     setting(
-        "--truth-shift", "truth_shift_s", type=Number("seconds", -1e10, 1e10), default=0.0, metavar="SECONDS",
+        "--truth-shift", "truth_shift_s", type=number("seconds", -1e10, 1e10), default=0.0, metavar="SECONDS",
         help="Seconds added to the truth's stamps if its clock is far off (the remainder is fitted).",
     ),
     setting(
@@ -105,7 +105,7 @@ _OTHERS = (
         "[default: the only one]",
     ),
     setting(
-        "--laser-scale-accuracy", type=Share("a share as in 0.3% or 0.003", 0.0, 20.0), metavar="SHARE",
+        "--laser-scale-accuracy", type=number("a share as in 0.3% or 0.003", 0.0, 20.0, share=True), metavar="SHARE",
         default="0.3%",
         help="Standard deviation of the laser's own scale error: no learned scale is more accurate. "
         "[default: 0.3%]",
@@ -116,7 +116,8 @@ _OTHERS = (
         "a laser.) [default: the only Imu]",
     ),
     setting(
-        "--gyro-scale-accuracy", type=Share("a share as in 1% or 0.01", 0.0, 20.0), metavar="SHARE", default="1%",
+        "--gyro-scale-accuracy", type=number("a share as in 1% or 0.01", 0.0, 20.0, share=True), metavar="SHARE",
+        default="1%",
         help="Standard deviation of the gyro's own scale error, if the gyro is the truth. [default: 1%]",
     ),
     click.option(

@@ -211,10 +211,14 @@ def _read_defaults(ctx: click.Context, _: click.Parameter, path: Path | None) ->
 
 def _entries(file: Path, own: click.Command) -> Iterator[tuple[click.Command, click.Option, str, Any]]:
     """Yield the entries of a file of defaults, tables last: a command that has the option, the option, key, value."""
-    table = _table(file)
+    data = read_input(file, TOML_BYTES, "file of defaults", click.UsageError)
+    try:
+        table = parse_toml(data.decode())
+    except ValueError as error:
+        raise click.UsageError(f"{file}: not valid TOML ({error})") from error
     for key, value in table.items():
         if not isinstance(value, dict):
-            every = chain([own], map(_command, command_names()))
+            every = chain([own], map(command_named, command_names()))
             command = next((one for one in every if key.replace("_", "-") in _named(one)), None)
             if command is None:
                 raise click.UsageError(f"{file}: {key}: no command has this option")
@@ -224,7 +228,7 @@ def _entries(file: Path, own: click.Command) -> Iterator[tuple[click.Command, cl
             continue
         if name not in command_names():
             raise click.UsageError(f"{file}: [{name}] is not a command; there are {', '.join(command_names())}")
-        command = own if name == own.name else _command(name)
+        command = own if name == own.name else command_named(name)
         options = _named(command)
         for key, value in values.items():
             if key.replace("_", "-") not in options:
@@ -232,14 +236,6 @@ def _entries(file: Path, own: click.Command) -> Iterator[tuple[click.Command, cl
                     f"{file}: [{name}] {key}: is not an option; there are {', '.join(sorted(options))}"
                 )
             yield command, options[key.replace("_", "-")], f"[{name}] {key}", value
-
-
-def _table(file: Path) -> Mapping[str, Any]:
-    data = read_input(file, TOML_BYTES, "file of defaults", click.UsageError)
-    try:
-        return parse_toml(data.decode())
-    except ValueError as error:
-        raise click.UsageError(f"{file}: not valid TOML ({error})") from error
 
 
 def _named(command: click.Command) -> dict[str, click.Option]:
@@ -255,6 +251,7 @@ def command_names() -> dict[str, str]:
     return {name.replace("_", "-"): f"{commands.__name__}.{name}" for name in found if not name.startswith("_")}
 
 
-def _command(name: str) -> click.Command:
+def command_named(name: str) -> click.Command:
+    """Return a command, importing its module."""
     command: click.Command = importlib.import_module(command_names()[name]).command
     return command

@@ -22,15 +22,15 @@ _OF_MODEL = ("alpha", "law", "twist_noise", "step", "preset", "effects", "track"
 _OF_MAP = ("map_", "radius", "check", "unknown", "tries", "map_pose")
 
 
-class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
-    name = "I/N"
+def _shard(value: Any) -> Any:
+    """Return (number, count) of a shard written as 3/16."""
+    match = re.fullmatch(r"(\d+)/(\d+)", value) if isinstance(value, str) else None
+    if match is None or not 1 <= int(match[1]) <= int(match[2]):
+        raise click.BadParameter(f"{value!r}; write which of how many, counted from 1, as in 3/16")
+    return int(match[1]), int(match[2])
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return (number, count) of a shard written as 3/16."""
-        match = re.fullmatch(r"(\d+)/(\d+)", value) if isinstance(value, str) else None
-        if match is None or not 1 <= int(match[1]) <= int(match[2]):
-            self.fail(f"{value!r}; write which of how many, counted from 1, as in 3/16", param, ctx)
-        return int(match[1]), int(match[2])
+
+_shard.__name__ = "I/N"
 
 
 @click.command("batch", cls=AlphaCommand, short_help="Make many corrupted bags of one: Monte-Carlo runs.")
@@ -66,7 +66,7 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 )  # fmt: skip
 @click.option("--points", type=click.IntRange(0), default=0, metavar="N", help="Cover all ranges by N Sobol points.")
 @valued("--jobs", kind=click.IntRange(1), default=1, metavar="N", text="Processes.")
-@click.option("--shard", type=_ShardType(), help="Make the I-th of N parts, as 3/16, counted from 1.")
+@click.option("--shard", type=_shard, help="Make the I-th of N parts, as 3/16, counted from 1.")
 @click.option("--dask", metavar="ADDRESS", help="Use the workers of a Dask scheduler, as tcp://host:8786.")
 @threads_option
 @click.option("--verify", is_flag=True, help="Make runs again whose checksums are not the manifest's: bit rot, edits.")

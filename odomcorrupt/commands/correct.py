@@ -7,9 +7,15 @@ from typing import Any
 
 import click
 
-from odomcorrupt.commands._bag import bag_words, container_options, frame_options, keeping_options
+from odomcorrupt.commands._bag import (
+    bag_words,
+    container_options,
+    frame_options,
+    keep_localisation_option,
+    keeping_options,
+)
 from odomcorrupt.commands._model import choose_model, effect_option, track_option
-from odomcorrupt.commands._options import FILE, START, usage_errors
+from odomcorrupt.commands._options import FILE, start, usage_errors
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, standard_options
 from odomcorrupt.errors import EffectError
@@ -25,13 +31,11 @@ from odomcorrupt.errors import EffectError
 @frame_options
 @keeping_options
 @click.option(
-    "--start", type=START,
+    "--start", type=start,
     help="Start pose of the odometry in the frame of position-dependent effects, metres and radians (or 90deg); odom: "
     "its own frame. [required if they were learned]",
 )  # fmt: skip
-@click.option(
-    "--keep-localisation", is_flag=True, help="Invert the change in map -> odom, so that map -> base is unchanged."
-)
+@keep_localisation_option
 @container_options
 @standard_options
 def command(input_: str, output: str | None, output_option: str | None, *, console: Console, **given: Any) -> int:

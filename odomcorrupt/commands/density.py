@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from odomcorrupt.commands._model import AlphaCommand, choose_condition, choose_move, map_options, move_options
-from odomcorrupt.commands._options import PICTURE, POSE, save_picture, setting, usage_errors, valued
+from odomcorrupt.commands._options import PICTURE, kind_of, pose, setting, usage_errors, valued
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import ModelError
+from odomcorrupt.result_files import write_bytes
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     "motion to each pose.",
 )  # fmt: skip
 @click.option(
-    "--at", "poses", type=POSE, multiple=True, help="Print the density at this end pose, as in 0.2,0.3,10deg."
+    "--at", "poses", type=pose, multiple=True, help="Print the density at this end pose, as in 0.2,0.3,10deg."
 )
 @map_options
 @setting("--seed", type=click.IntRange(0), metavar="N", help="Seed of the samples. [default: drawn, and printed]")
@@ -50,13 +51,15 @@ def command(
     from odomcorrupt.rng import draw_seed
 
     chosen = choose_move(given)
+    count = chosen.pop("count")
     with usage_errors(ModelError):
-        condition = choose_condition(given, None, "")
-        found = density(chosen.start_xyt, chosen.end_xyt, poses, model=chosen.model, reading=reading, within=condition)
+        found = density(**chosen, poses=poses, reading=reading, within=choose_condition(given, None, ""))
 
     def draw(path: Path) -> None:
+        from odomcorrupt.report.plots.figure import rendered
+
         seed = draw_seed() if given["seed"] is None else given["seed"]
-        save_picture(path, found.draw_beside(chosen.count, seed))
+        write_bytes(path, rendered(found.draw_beside(count, seed), kind_of(path)))
 
     following = ["density", *typed_words(), "--plot", "density.png"]
     if output is not None:

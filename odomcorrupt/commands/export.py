@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._options import FILE, MODELS, OUTPUT, TRACK, Decorator, Number, setting, usage_errors, valued
+from odomcorrupt.commands._options import FILE, MODELS, OUTPUT, TRACK, Decorator, number, setting, usage_errors, valued
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, written
 from odomcorrupt.errors import ModelError
 
@@ -23,7 +23,7 @@ def _number(
     word: str, unit: str, metavar: str, default: float, text: str, *, high: float = 1e3, **bounds: Any
 ) -> Decorator:
     """Return an option that takes a number of zero or more."""
-    return valued(word, kind=Number(unit, 0.0, high, **bounds), default=default, metavar=metavar, text=text)
+    return valued(word, kind=number(unit, 0.0, high, **bounds), default=default, metavar=metavar, text=text)
 
 
 @click.command("export", short_help="Print a model as parameters of ros2_control, nav2, robot_localization or Gazebo.")
@@ -40,7 +40,7 @@ def _number(
 )
 @click.option(
     "--wheel-radius", "wheel_radius_m", metavar="M", help="Nominal radius of the wheels.",
-    type=Number("metres of a wheel's radius", 0.0, 1.5, above=True, else_="3.5 cm are 0.035"),
+    type=number("metres of a wheel's radius", 0.0, 1.5, above=True, else_="3.5 cm are 0.035"),
 )  # fmt: skip
 @_number("--update-min-d", "metres", "M", 0.25, "amcl's update distance.", above=True, else_=_EVERY)
 @_number("--update-min-a", "radians", "RAD", 0.2, "amcl's update angle.", above=True, else_=_EVERY)

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._options import EFFECTS, FILE, MODELS, OUTPUT, Number
+from odomcorrupt.commands._options import EFFECTS, FILE, MODELS, OUTPUT, number
 from odomcorrupt.commands._recordings import WORSE, Reading, recording_options, split_arguments
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import FitError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
 
@@ -59,7 +58,7 @@ def command(
     Of the set-up, a lever arm and a mounting yaw of the truth are fitted if the data show them. Several recordings
     are runs of one robot, each with its own clock. A model that makes the error on held-out data larger is not written.
     """
-    from odomcorrupt.api.findings import compare, fit, require_effects
+    from odomcorrupt.api.findings import compare, fit, fit_returns, require_effects
     from odomcorrupt.api.model import Model, as_model
 
     paths, models = split_arguments(recordings)
@@ -68,7 +67,19 @@ def command(
     if returns or ends:
         if ends and reading.given["scan"]:
             raise click.UsageError("--end and --scan: scans measure where a drive ended; leave one of them out")
-        _square_test(paths, ends or ("0,0,0",), reading, add, output, console)
+        given = reading.given
+        for name in ("truth", "truth_bags", "imu", "relative"):
+            if given[name]:
+                flag = name.removesuffix("s").replace("_", "-")
+                said = f"--returns and --{flag}: the ends are the only truth then; leave one of them out"
+                raise click.UsageError(said)
+        poses = [_end(text) for text in ends or ("0,0,0",)]
+        if len(poses) not in (1, len(paths)):
+            raise click.UsageError(f"{len(poses)} --end for {len(paths)} drives; give one for all, or one for each")
+        asked = {"odom": given["odom"], "track_m": given["track"], "scan": given["scan"]}
+        with reading.stages(console):
+            found = fit_returns(paths, poses, effects=add, **asked)
+        console.show(found, files=written(output, lambda path: found.model.save(path, overwrite=True)))
         return
     begin = None if start is None else as_model(str(start))
     require_effects(begin, add)
@@ -87,35 +98,10 @@ def command(
         raise FitError(WORSE.format(output, "leave effects out, or let `learn` select them"))
 
 
-def _square_test(
-    paths: Sequence[Path],
-    ends: Sequence[str],
-    reading: Reading,
-    add: Sequence[str],
-    output: Path | None,
-    console: Console,
-) -> None:
-    """Fit a square test's effects to the ends of drives."""
-    from odomcorrupt.api.findings import fit_returns
-
-    given = reading.given
-    for name in ("truth", "truth_bags", "imu", "relative"):
-        if given[name]:
-            flag = name.removesuffix("s").replace("_", "-")
-            raise click.UsageError(f"--returns and --{flag}: the ends are the only truth then; leave one of them out")
-    poses = [_end(text) for text in ends]
-    if len(poses) not in (1, len(paths)):
-        raise click.UsageError(f"{len(poses)} --end for {len(paths)} drives; give one for all, or one for each")
-    with reading.stages(console):
-        result = fit_returns(paths, poses, effects=add, odom=given["odom"], track_m=given["track"], scan=given["scan"])
-    console.show(result, files=written(output, lambda path: result.model.save(path, overwrite=True)))
-
-
 def _end(text: str) -> tuple[float, float, float]:
     """Return the pose given as x,y,yaw, the yaw in degrees."""
-    number = Number("x,y,yaw in metres and degrees")
     try:
-        x, y, yaw = (number.convert(part, None, None) for part in text.split(","))
+        x, y, yaw = map(number("x,y,yaw in metres and degrees"), text.split(","))
     except (ValueError, click.UsageError):
         raise click.UsageError(f"--end {text}: write x,y,yaw in metres and degrees, finite numbers") from None
     return x, y, math.radians(yaw)

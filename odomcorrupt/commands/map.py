@@ -9,7 +9,7 @@ import click
 
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._options import FILE, PAGE, PICTURE, POSE, Number, run_options, setting, usage_errors, valued
+from odomcorrupt.commands._options import FILE, PAGE, PICTURE, number, pose, run_options, setting, usage_errors, valued
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import MapError
@@ -29,13 +29,13 @@ _ASKED = ("seed", "run", "scan", "odom_topic", "truth", "laser_pose", "max_yaw_r
 @setting("--scan", metavar="TOPIC", help="Laser scans. [default: the only such topic]")
 @setting(*ODOM_TOPIC, metavar="TOPIC", help="Odometry that places the scans.")
 @setting("--truth", metavar="TOPIC", help="Draw the map through these poses as well.")
-@setting("--laser-pose", type=POSE, help="Pose of the laser on the robot, if TF does not contain it.")
+@setting("--laser-pose", type=pose, help="Pose of the laser on the robot, if TF does not contain it.")
 @setting(
-    "--max-yaw-rate", type=Number("rad/s", 0.0, 1e3), metavar="W",
+    "--max-yaw-rate", type=number("rad/s", 0.0, 1e3), metavar="W",
     help="Leave out rays shot while turning faster, rad/s; not with --method laser.",
 )  # fmt: skip
 @valued(
-    "--resolution", kind=Number("metres", 0.0, 1e3, above=True), default=0.05, text="Cell size of the maps, metres."
+    "--resolution", kind=number("metres", 0.0, 1e3, above=True), default=0.05, text="Cell size of the maps, metres."
 )
 @valued(
     "--method", among=["odometry", "laser"],

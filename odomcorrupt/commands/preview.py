@@ -53,13 +53,9 @@ def command(input_: str, plot: Path | None, *, console: Console, **given: Any) -
     return report_losses(result.losses)
 
 
-def _options_of_the_output() -> list[click.Parameter]:
-    """Return the options of corruption that are accepted but not used, so that one command line serves both."""
-    own = {word for option in command.params for word in option.opts}
-    found = [copy.copy(o) for o in corrupt.command.params if isinstance(o, click.Option) and own.isdisjoint(o.opts)]
-    for option in found:
-        option.hidden, option.expose_value = True, False
-    return list(found)
-
-
-command.params += _options_of_the_output()
+# options of corruption are accepted but not used, so that one command line serves both
+_OWN = {word for option in command.params for word in option.opts}
+for _option in corrupt.command.params:
+    if isinstance(_option, click.Option) and _OWN.isdisjoint(_option.opts):
+        command.params.append(unused := copy.copy(_option))
+        unused.hidden, unused.expose_value = True, False

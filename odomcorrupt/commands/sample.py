@@ -17,7 +17,7 @@ from odomcorrupt.commands._model import (
     map_options,
     move_options,
 )
-from odomcorrupt.commands._options import PICTURES, Number, OutputFile, kind_of, seed_option, setting, usage_errors
+from odomcorrupt.commands._options import PICTURES, OutputFile, kind_of, number, seed_option, setting, usage_errors
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import ModelError
 from odomcorrupt.result_files import write_text
@@ -36,7 +36,7 @@ _RESULT = OutputFile(*PICTURES, "csv", "json")
 @map_options
 @click.option(
     "--every",
-    type=Number("metres", 0.0, 1e6, above=True),
+    type=number("metres", 0.0, 1e6, above=True),
     metavar="M",
     help="Along a bag: distance between clouds, metres.",
 )
@@ -62,11 +62,9 @@ def command(bag: Path | None, output: Path | None, *, console: Console, **given:
     following = ["sample", *typed_words(), "-o", "banana.png" if bag is None else "cloud.png"]
     drawn: Samples | Particles
     if bag is None:
-        chosen = choose_move(given)
-        condition = choose_condition(given, None, "odom")
+        asked = choose_move(given) | {"within": choose_condition(given, None, "odom")}
         with usage_errors(ModelError):
-            asked = {"count": chosen.count, "seed": given["seed"], "within": condition}
-            drawn = sample(chosen.start_xyt, chosen.end_xyt, model=chosen.model, **asked)
+            drawn = sample(**asked, seed=given["seed"])
         if output is not None:
             following = ["density", *typed_words("--every", "--odom-topic", "--max-unpacked")]
     else:
@@ -75,8 +73,8 @@ def command(bag: Path | None, output: Path | None, *, console: Console, **given:
             raise click.UsageError(f"--{taken[0]}: the motion is that of {bag}; leave it out")
         model, topic = choose_model(given), given["odom_topic"]
         frame = "odom" if given["map_"] is None else read_drive(bag, topic).frame_id
-        asked = {"runs": given["count"] or 300, "seed": given["seed"], "every_m": given["every"], "odom_topic": topic}
-        drawn = sample_along(bag, model, **asked, within=choose_condition(given, bag, frame))
+        asked = {"runs": given["count"] or 300, "every_m": given["every"], "odom_topic": topic}
+        drawn = sample_along(bag, model, **asked, seed=given["seed"], within=choose_condition(given, bag, frame))
         for sentence in drawn.notes:
             console.note(sentence)
         if output is not None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._bag import unpack_option
-from odomcorrupt.commands._options import OUTPUT, PAGE, PICTURE, PICTURES, Number, OutputFile, kind_of, setting, valued
+from odomcorrupt.commands._options import OUTPUT, PAGE, PICTURE, PICTURES, OutputFile, kind_of, number, setting, valued
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words
 from odomcorrupt.input_files import read_input
@@ -38,15 +38,15 @@ if TYPE_CHECKING:
     "although their frames have different names (same).",
 )
 @valued(
-    "--lost", "lost_m", kind=Number("metres", 0.0, 1e6), default=1.0,
+    "--lost", "lost_m", kind=number("metres", 0.0, 1e6), default=1.0,
     text="Position error beyond which a run is lost, metres.",
 )  # fmt: skip
 @valued(
-    "--lost-for", "lost_s", kind=Number("seconds", 0.0, 1e6), default=10.0,
+    "--lost-for", "lost_s", kind=number("seconds", 0.0, 1e6), default=10.0,
     text="Time that such an error must last, seconds (or until the end).",
 )  # fmt: skip
 @valued(
-    "--jump", "jump_m", kind=Number("metres", 0.0, 1e6), default=0.5,
+    "--jump", "jump_m", kind=number("metres", 0.0, 1e6), default=0.5,
     text="Change of the error within a second that is a jump, metres.",
 )  # fmt: skip
 @click.option("--count-missing", is_flag=True, hidden=True, expose_value=False)

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from odomcorrupt.commands._options import EFFECTS, FILE, Number, setting, usage_errors, valued
+from odomcorrupt.commands._options import EFFECTS, FILE, number, setting, usage_errors, valued
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import Console, chosen_output, output_option, overwrite_option, standard_options
 from odomcorrupt.errors import EffectError
@@ -81,7 +81,7 @@ def _size(text: str) -> float:
 )  # fmt: skip
 @valued("--drive-type", among=["differential", "skid"], text="Wheel layout.")
 @click.option(
-    "--duration", "duration_s", type=Number("seconds", 10.0, 1e6),
+    "--duration", "duration_s", type=number("seconds", 10.0, 1e6),
     help="Duration of the drive, seconds. [default: 600, or that of --drive]",
 )  # fmt: skip
 @click.option("--answer", type=FILE, help="File for the true faults. [default: OUTPUT.answer.toml]")

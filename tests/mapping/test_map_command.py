@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.cli import run
-from odomcorrupt.commands._options import POSE
+from odomcorrupt.commands._options import pose as pose_of
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.mapping.conditioned import read_map_from_odom
@@ -130,7 +130,7 @@ def ends(path):
 )
 def test_no_pose_is_in_a_wall_with_the_map_and_some_are_without(command, bag, yaml, pose, seed, tmp_path, capsys):
     where = [] if pose is None else ["--map-pose", pose]
-    found = read_map_from_odom(bag, "map", "odom") if pose is None else np.array(POSE.convert(pose, None, None))
+    found = read_map_from_odom(bag, "map", "odom") if pose is None else np.array(pose_of(pose))
     walls = free_space(read_map(yaml), 0.0, unknown="free", map_from_odom=found)
     with_map = ["--map", str(yaml), *where, "--robot-radius", "0.1", "--unknown", "free"]
     for name, more in (("with", with_map), ("without", [])):
