@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from enum import IntEnum
 from math import degrees, isfinite, radians
 from typing import TYPE_CHECKING
 
@@ -25,7 +24,6 @@ from odomcorrupt.report.findings import (
     inseparable_sentence,
     is_unexplained,
     noise_found,
-    noise_text,
     numbers_text,
 )
 from odomcorrupt.study.estimate.drive_type import readings_of
@@ -38,7 +36,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.report.findings import FoundDependence, FoundEffect, FoundNoise
+    from odomcorrupt.report.findings import Found, FoundDependence
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.estimate.clocks import Clocks
@@ -63,14 +61,8 @@ _OF_ONE_DRIVE = ("time", "distance")
 _EXACT = Line("exact", "0.1 mm of error per metre at most: a simulator's odometry, or a truth made of it", weight=FIRST)
 
 
-class _Group(IntEnum):
-    """Groups of findings in their order; names below even odds are doubtful."""
-
-    NAMED = 0
-    SET_UP = 1
-    NOT_IN_MODEL = 2
-    NOISE = 3
-    DOUBTFUL = 4
+_NAMED, _SET_UP, _NOT_IN_MODEL, _NOISE, _DOUBTFUL = range(5)
+"""Groups of findings in their order; names below even odds are doubtful."""
 
 
 def findings_brief(
@@ -125,7 +117,7 @@ def findings_brief(
     lines[at:at] = [
         *_change_lines(search, fit, written),
         *(Line("data", alert, "warning", FIRST) for alert in alerts),
-        *([_EXACT] if exact else [*_drift_lines(reproduction, bursts=bursts), *_rejected_lines(last)]),
+        *([_EXACT] if exact else _misfit_lines(reproduction, last, bursts=bursts)),
         *_written_lines(search, written),
         # the identity of an effect is more important than its gain
         *open_lines(search, advice),
@@ -190,19 +182,17 @@ def _written_lines(search: Learned, written: MotionModel | None) -> list[Line]:
     return [Line("model", said, "warning", FIRST)] if absent else []
 
 
-def _rejected_lines(last: ModelEvaluation) -> list[Line]:
-    """Return that the last model is still rejected, and by how much."""
-    said = f"errors are {plainly(last.verdict.misfit)} times the predicted ones"
-    said = f"the noise is too large: {said}" if last.verdict.misfit < 1.0 else said
-    return [Line("rejected", said, "warning", FIRST)] if last.verdict.fails else []
-
-
-def _drift_lines(reproduction: Reproduction | None, *, bursts: bool) -> list[Line]:
-    """Return how far a simulation with the model would drift, if that is far too little or too much."""
-    if reproduction is None or (reproduction.holds and bursts):
-        return []
-    label = "outliers" if reproduction.holds else "drift"
-    return [Line(label, said, "warning", FIRST)] if (said := reproduction_sentence(reproduction)) else []
+def _misfit_lines(reproduction: Reproduction | None, last: ModelEvaluation, *, bursts: bool) -> list[Line]:
+    """Return how far a simulation would drift, if far too little or too much, and by how much the model is rejected."""
+    lines = []
+    if reproduction is not None and not (reproduction.holds and bursts):
+        label, said = "outliers" if reproduction.holds else "drift", reproduction_sentence(reproduction)
+        lines += [Line(label, said, "warning", FIRST)] if said else []
+    if last.verdict.fails:
+        said = f"errors are {plainly(last.verdict.misfit)} times the predicted ones"
+        said = f"the noise is too large: {said}" if last.verdict.misfit < 1.0 else said
+        lines.append(Line("rejected", said, "warning", FIRST))
+    return lines
 
 
 def _verdict(search: Learned, comparison: Comparison, lines: Sequence[Line]) -> tuple[str, Tone]:
@@ -271,32 +261,30 @@ def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[L
 
     undecided : names in the line of undecided alternatives
     """
-    ranked: list[tuple[tuple[_Group, float], Line]] = []  # in a group the one with the most evidence is first
-    ranks: dict[str, tuple[_Group, float]] = {}
+    ranked: list[tuple[tuple[int, float], Line]] = []  # in a group the one with the most evidence is first
+    ranks: dict[str, tuple[int, float]] = {}
     small: dict[str, str] = {}  # texts of negligible parts by name
     absent: list[str] = []  # negligible and not in the model
     effects = effects_found(search, fit)
     sure = any(one.confidence >= EVEN_ODDS and not one.negligible for one in effects)
     hardly = {one.effect.name for one in effects if one.confidence < _HARDLY}
     for one in effects:
-        name, said = one.effect.name, f"{one.names}  {', '.join(numbers_text(one.effect, one.errors))}"
+        name, said = one.effect.name, f"{one.names}  {', '.join(one.numbers)}"
         if one.negligible:
             small[name] = said
             continue
         rivals = [rival for rival in one.rivals if rival not in undecided]
-        said += f"  {confidence_words(one.confidence)}"
+        said += f"  {one.probability}"
         said += f", or {', '.join(rivals)}" if rivals else ""
         doubtful = one.confidence < EVEN_ODDS
-        group, label = (_Group.DOUBTFUL, _PERHAPS) if doubtful else (_Group.NAMED, "")
+        group, label = (_DOUBTFUL, _PERHAPS) if doubtful else (_NAMED, "")
         if name in search.of_setup:
-            group, label = _Group.SET_UP, "set-up"
-        ranks[name] = (group, -one.gain_nats)
+            group, label = _SET_UP, "set-up"
+        ranks[name] = (group, -one.nats)
         said += _contact_words(one.effect, search)
         # without any likelier effect it is what the errors fall by
         weight = FOUND if not doubtful else SPARE if sure else USUAL
-        ranked.append(
-            (ranks[name], Line(label, said, weight=weight, part="" if group is _Group.SET_UP else _part(one)))
-        )
+        ranked.append((ranks[name], Line(label, said, weight=weight, part="" if group == _SET_UP else _part(one))))
     for unknown in foremost(dependences_found(search, fit), 2):
         law = unknown.law
         if law in search.unexplained or law.instead_of:
@@ -304,20 +292,18 @@ def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[L
             said = f"{named}: {unknown.expression}{remark}"
             short = "" if unknown.fitted else f"{named}{f': {_DECIDES}' if _TO_DECIDE in remark else remark}"
             beside = [ranks[name] for name in law.instead_of if name in ranks]
-            own = (_Group.NAMED if unknown.fitted else _Group.NOT_IN_MODEL, -law.nats)
+            own = (_NAMED if unknown.fitted else _NOT_IN_MODEL, -law.nats)
             rank = max(beside, default=own)
-            weight = FOUND if unknown.fitted else USUAL if rank[0] <= _Group.NOT_IN_MODEL else SPARE
+            weight = FOUND if unknown.fitted else USUAL if rank[0] <= _NOT_IN_MODEL else SPARE
             ranked.append((rank, Line("", said, weight=weight, short=short, part=unknown.part)))
         elif unknown.fitted:
             small[unknown.part] = unknown.expression
         else:
             absent.append(unknown.expression)
     for noise in noise_found(search):
-        values = ", ".join(noise_text(noise.effect))
-        said = f"{noise.name}, {values}  {confidence_words(noise.confidence)}"
-        said += ", or the scale of the truth varies" if noise.of_truth else ""
+        said = f"{noise.names}, {', '.join(noise.numbers)}  {noise.probability}"
         doubtful = noise.confidence < EVEN_ODDS
-        group = _Group.DOUBTFUL if doubtful else _Group.NOISE
+        group = _DOUBTFUL if doubtful else _NOISE
         ranked.append(((group, 0.0), Line("noise", said, weight=SPARE if doubtful else USUAL, part=_part(noise))))
     likely = [one for one in effects if not (one.negligible or one.effect.name in search.of_setup)]
     lines = _beside_findings(ranked, [*likely, *noise_found(search)])
@@ -332,20 +318,18 @@ def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[L
     return lines, [Line("negligible", "; ".join(trivial), weight=SPARE, part=", ".join(small))] if trivial else []
 
 
-def _beside_findings(
-    ranked: Sequence[tuple[tuple[_Group, float], Line]], parts: Sequence[FoundEffect | FoundNoise]
-) -> list[Line]:
+def _beside_findings(ranked: Sequence[tuple[tuple[int, float], Line]], parts: Sequence[Found]) -> list[Line]:
     """Return lines in order, with one line for all parts that are hardly causes if there are other findings."""
     hardly = [_part(one) for one in parts if one.confidence < _HARDLY]
     ordered = sorted(ranked, key=lambda one: one[0])
     findings = [(rank, line) for rank, line in ordered if line.part not in hardly]
-    if not hardly or all(group is _Group.SET_UP for (group, _), _ in findings):
+    if not hardly or all(group == _SET_UP for (group, _), _ in findings):
         return [line for _, line in ordered]
     named = ", ".join(hardly)
     return [*(line for _, line in findings), Line("included", f"also {named}", weight=SPARE, part=named)]
 
 
-def _part(one: FoundEffect | FoundNoise) -> str:
+def _part(one: Found) -> str:
     """Return the name of a part of the model, after "perhaps" below even odds, or with its confidence."""
     name = one.effect.name
     if one.confidence < _HARDLY:

@@ -45,7 +45,11 @@ def comparison_text(comparison: Comparison) -> str:
         lines.append("")
     lines += [*_sequence_lines(comparison), "", *_trajectory_lines(comparison)]
     for evaluation in comparison.evaluations:
-        lines += ["", *failure_lines(evaluation)]
+        more = len(evaluation.failures) - MOST
+        fails = [f"  {number}. {sentence(f)}" for number, f in enumerate(evaluation.failures[:MOST], start=1)]
+        fails += [f"  and {more} more, see --json"] if more > 0 else []
+        none = "  no lack of fit in any motion, time, place or moment"
+        lines += ["", evaluation_sentence(evaluation), *(fails or [none])]
     if any(j.failures for j in comparison.evaluations):
         lines += ["", SIGNS]
     return "\n".join(lines)
@@ -81,14 +85,6 @@ def comparison_brief(comparison: Comparison) -> Summary:
         worst = sentence(last.failures[0])
         lines.append(Line("deviation", f"the largest one, too small to reject {last.name}: {worst}"))
     return Summary(tuple(lines))
-
-
-def failure_lines(evaluation: ModelEvaluation) -> list[str]:
-    """Return the verdict, and the model's lack of fit, the most significant first."""
-    more = len(evaluation.failures) - MOST
-    lines = [f"  {number}. {sentence(f)}" for number, f in enumerate(evaluation.failures[:MOST], start=1)]
-    lines += [f"  and {more} more, see --json"] if more > 0 else []
-    return [evaluation_sentence(evaluation), *(lines or ["  no lack of fit in any motion, time, place or moment"])]
 
 
 def _horizon_lines(horizons: Sequence[Horizon]) -> list[str]:
@@ -137,23 +133,19 @@ def share_of_worst(steps: Sequence[tuple[str, float, ModelEvaluation | None]], e
 
 
 def _sequence_lines(comparison: Comparison) -> list[str]:
-    steps = sequence_steps(comparison)
+    steps, first = sequence_steps(comparison), comparison.evaluations[0]
     lines = [f"{HELD[comparison.judged_on]} position error (RMS) after 10 s, and log likelihood:"]
     for name, error, evaluation in steps:
         bar = "#" * round(_BAR * share_of_worst(steps, error))
-        nats = "" if evaluation is None else _nats(comparison, evaluation)
+        nats, n = "", None if evaluation is None else evaluation.nats
+        if n is not None:
+            nats = f"{n.per_m:.2f} +- {n.error:.2f} nats/m"
+            if evaluation is not first:
+                nats += f"  ({n.gain_per_m:+.2f} +- {n.gain_error:.2f} over {first.name})"
         size = f"{error * 1e3:9.1f} mm" if isfinite(error) else f"{'-':>12}"
         lines += _named(name, f"{size}  {bar:<{_BAR}}  {nats}")
     falls = falls_sentence(comparison)
     return [*lines, f"  {falls}"] if falls else lines
-
-
-def _nats(comparison: Comparison, evaluation: ModelEvaluation) -> str:
-    n = evaluation.nats
-    text = f"{n.per_m:.2f} +- {n.error:.2f} nats/m"
-    if evaluation is comparison.evaluations[0]:
-        return text
-    return f"{text}  ({n.gain_per_m:+.2f} +- {n.gain_error:.2f} over {comparison.evaluations[0].name})"
 
 
 def falls_sentence(comparison: Comparison) -> str:

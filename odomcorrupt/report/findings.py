@@ -45,36 +45,47 @@ def effects_with_errors(fit: Fit | ReturnsFit) -> list[tuple[Effect, list[float]
     return [(effect, [float(next(errors)) for _ in amplitudes(effect)]) for effect in fit.effects]
 
 
-class FoundEffect(NamedTuple):
-    """An effect that a step of the search added.
+class Found(NamedTuple):
+    """A systematic or random effect that the search found: summary, text, JSON and HTML are made of it.
 
-    errors : standard errors of its amplitudes
+    errors : standard errors of its amplitudes; none of a random effect
+    confidence : probability of its name
+    nats : gain in log likelihood, minus the penalty of its parameters
+    step : of the search that added it; None of a random effect
     aliases : second names of the same error, which no recording can separate
     rivals : names of other effects that explain these data as well
-    confidence : probability of its name
     negligible : whether it is significant, but too small to matter
+    of_truth : whether a varying scale of the truth may cause it
     """
 
     effect: Effect
-    errors: list[float]
-    step: Step
-    aliases: tuple[str, ...]
-    rivals: tuple[str, ...]
+    errors: Sequence[float]
     confidence: float
-    negligible: bool
+    nats: float
+    step: Step | None = None
+    aliases: tuple[str, ...] = ()
+    rivals: tuple[str, ...] = ()
+    negligible: bool = False
+    of_truth: bool = False
 
     @property
     def names(self) -> str:
-        """Name with its aliases."""
-        return f"{self.effect.name} (= {', '.join(self.aliases)})" if self.aliases else self.effect.name
+        """Name with its aliases, of a random effect with the channel that it acts on."""
+        name = part_name(self.effect)
+        return f"{name} (= {', '.join(self.aliases)})" if self.aliases else name
 
     @property
-    def gain_nats(self) -> float:
-        """Gain in log likelihood by the step, minus the penalty of its parameters."""
-        return self.step.candidates[0].gain
+    def numbers(self) -> list[str]:
+        """Its numbers, in words."""
+        return noise_text(self.effect) if self.step is None else numbers_text(self.effect, self.errors)
+
+    @property
+    def probability(self) -> str:
+        """Its confidence, in words."""
+        return confidence_words(self.confidence) + ", or the scale of the truth varies" * self.of_truth
 
 
-def effects_found(learned: Learned, fit: Fit | None = None) -> list[FoundEffect]:
+def effects_found(learned: Learned, fit: Fit | None = None) -> list[Found]:
     """Return the added effects in the order of the search.
 
     fit : the reported fit, if it is not that of the search; effects that it lacks are left out
@@ -87,35 +98,18 @@ def effects_found(learned: Learned, fit: Fit | None = None) -> list[FoundEffect]
             effect, errors = own[step.added]
             aliases = readings_of(effect, drive)
             rivals = tuple(name for name in step.alternatives if name not in aliases)
-            probability, negligible = confidence(support_of(step, learned, fit)), learned.is_negligible(effect.name)
-            found.append(FoundEffect(effect, errors, step, aliases, rivals, probability, negligible))
+            probability, nats = confidence(support_of(step, learned, fit)), step.candidates[0].gain
+            negligible = learned.is_negligible(effect.name)
+            found.append(Found(effect, errors, probability, nats, step, aliases, rivals, negligible))
     return found
 
 
-class FoundNoise(NamedTuple):
-    """A random effect that was detected: its gain in nats, and the probability of its name.
-
-    of_truth : whether a varying scale of the truth may cause it
-    """
-
-    effect: Effect
-    nats: float
-    confidence: float
-    of_truth: bool
-
-    @property
-    def name(self) -> str:
-        """Name with the channel that it acts on."""
-        return part_name(self.effect)
-
-
-def noise_found(learned: Learned) -> list[FoundNoise]:
+def noise_found(learned: Learned) -> list[Found]:
     """Return the detected random effects."""
+    supports = ((one, confidence(noise_support(one, learned))) for one in learned.noise)
     return [
-        FoundNoise(
-            one.effect, one.nats, confidence(noise_support(one, learned)), bool(may_be_scale_of_truth(one, learned))
-        )
-        for one in learned.noise
+        Found(one.effect, (), probability, one.nats, of_truth=bool(may_be_scale_of_truth(one, learned)))
+        for one, probability in supports
     ]
 
 
@@ -136,24 +130,16 @@ def is_unexplained(learned: Learned, last: ModelEvaluation | None, *, falls: boo
     return not falls or misfit > _GROSS if learned.noise else misfit > 1.0
 
 
-class LawNumber(NamedTuple):
-    """A coefficient of a law, with its standard error and unit."""
-
-    value: float
-    error: float
-    unit: str
-
-
 class FoundDependence(NamedTuple):
     """A dependence that no library effect explains, or that may replace one.
 
-    numbers : coefficients by name, if it was fitted
+    numbers : coefficients by name, with standard error and unit, if it was fitted
     fitted : whether it is in the model as a basis function
     left_out : why it was left out of the model, if it was
     """
 
     law: Dependence
-    numbers: dict[str, LawNumber]
+    numbers: dict[str, tuple[float, float, str]]
     fitted: bool
     left_out: str = ""
 
@@ -167,7 +153,7 @@ class FoundDependence(NamedTuple):
         """Expression of the dependence, with its coefficients if it was fitted."""
         if not self.numbers:
             return self.law.expression
-        return self.law.term.expression([number.value for number in self.numbers.values()])
+        return self.law.term.expression([value for value, _, _ in self.numbers.values()])
 
 
 def dependences_found(learned: Learned, fit: Fit | None = None) -> list[FoundDependence]:
@@ -182,7 +168,7 @@ def dependences_found(learned: Learned, fit: Fit | None = None) -> list[FoundDep
         if law in learned.laws and law.name in own:
             effect, errors = own[law.name]
             pairs = zip(amplitudes(effect), errors, strict=True)
-            numbers = {p.name: LawNumber(getattr(effect, p.name), error, p.unit) for p, error in pairs}
+            numbers = {p.name: (getattr(effect, p.name), error, p.unit) for p, error in pairs}
         fitted = law in learned.laws
         found.append(FoundDependence(law, numbers, fitted, learned.why_left_out(law)))
     return found
@@ -249,7 +235,13 @@ def numbers_text(effect: Effect, errors: Sequence[float]) -> list[str]:
         shapes = [p for p in shapes if p.name not in ("radius", "width")]
         sides = f"{2.0 * effect.radius:.1f} m x {2.0 * effect.width:.1f} m"
         extent = [sides if effect.width else f"diameter {2.0 * effect.radius:.2g} m"]
-    return [*sizes, *(f"{p.name} {_shape_text(getattr(effect, p.name), p.unit)}" for p in shapes), *extent]
+    # positions to the millimetre, however large their coordinates
+    words = [
+        f"{p.name} {f'{round(value, 3):.10g} m' if p.unit == 'm' else value_text(value, None, p.unit)}"
+        for p in shapes
+        for value in [getattr(effect, p.name)]
+    ]
+    return [*sizes, *words, *extent]
 
 
 def noise_text(effect: Effect) -> list[str]:
@@ -262,11 +254,6 @@ def noise_text(effect: Effect) -> list[str]:
         *([f"wheel {wheel}"] if wheel != "both" else []),
         *(f"{p.name} {value_text(getattr(effect, p.name), None, p.unit or gain)}" for p in shown),
     ]
-
-
-def _shape_text(value: float, unit: str) -> str:
-    """Return a shape parameter in words; positions are given to the millimetre, however large their coordinates."""
-    return f"{round(value, 3):.10g} m" if unit == "m" else value_text(value, None, unit)
 
 
 def clock_lines(names: Sequence[str], clocks: Clocks) -> list[str]:
@@ -386,12 +373,11 @@ def found_text(
     """
     lines = clock_lines([r.name for r in learned.fit.problem.recordings], learned.clocks)
     if learned.added:
-        lines += ["missing, in the order of evidence, each added to those before:", _sequence_text(learned)]
+        lines.append("missing, in the order of evidence, each added to those before:")
+        lines += [_added_line(one, one.step) for one in effects_found(learned) if one.step is not None]
     for noise in noise_found(learned):
-        probability = confidence_words(noise.confidence)
-        probability += ", or the scale of the truth varies" if noise.of_truth else ""
-        values = ", ".join(noise_text(noise.effect))
-        lines.append(f"noise: {noise.name}, {values} ({probability}): {noise.effect.summary}")
+        said = f"{noise.names}, {', '.join(noise.numbers)} ({noise.probability})"
+        lines.append(f"noise: {said}: {noise.effect.summary}")
     for unknown in foremost(dependences_found(learned, fit), 3):
         lines += _unknown_lines(unknown)
     lines += [_event_line(one) for one in single_events(learned.fit)]
@@ -534,37 +520,32 @@ def _fall(what: str, before: float, after: float) -> str:
 
 def candidates_table(step: Step) -> str:
     """Return the candidates of one step, those with most evidence first."""
-    head = f"{'effect':<21}{'estimate':<44}{'evidence':>10}{'held out':>16}{'10 s error':>20}"
-    return "\n".join([head, *map(_candidate_line, step.candidates[:8])])
-
-
-def _candidate_line(candidate: Candidate) -> str:
-    score = candidate.score
-    values = ", ".join(
-        f"{p.name} {value_text(float(v), float(e), p.unit)}" if score.separable else "-"
-        for p, v, e in zip(amplitudes(score.effect), score.estimate, score.standard_error, strict=True)
-    )
-    evidence = f"{candidate.evidence:+.1f}"
-    held = f"{score.held_out_nats:+.1f} +- {score.held_out_error:.1f}"
-    before, after = candidate.rmse
-    drift = f"{before * 1e3:.1f} -> {after * 1e3:.1f} mm" if candidate.fitted is not None else ""
-    refused = f"  ({candidate.refused})" if candidate.refused else ""
-    return f"{score.effect.name:<21}{values:<44}{evidence:>10}{held:>16}{drift:>20}{refused}"
-
-
-def _sequence_text(learned: Learned) -> str:
-    """Return the 10 s error of the fitted data after each step."""
-    lines = []
-    for one in effects_found(learned):
-        before, after = one.step.candidates[0].rmse
-        rivals = f" (= {', '.join(one.aliases)}: the same error)" if one.aliases else ""
-        rivals += f" (or {', '.join(one.rivals)}: these data do not separate them)" if one.rivals else ""
-        name = one.effect.name + words_text(one.effect)
-        lines.append(
-            f"  + {name:<21}{one.gain_nats:+8.1f} nats   "
-            f"{before * 1e3:6.1f} -> {after * 1e3:.1f} mm after 10 s   {confidence_words(one.confidence)}{rivals}"
+    lines = [f"{'effect':<21}{'estimate':<44}{'evidence':>10}{'held out':>16}{'10 s error':>20}"]
+    for candidate in step.candidates[:8]:
+        score = candidate.score
+        values = ", ".join(
+            f"{p.name} {value_text(float(v), float(e), p.unit)}" if score.separable else "-"
+            for p, v, e in zip(amplitudes(score.effect), score.estimate, score.standard_error, strict=True)
         )
+        evidence = f"{candidate.evidence:+.1f}"
+        held = f"{score.held_out_nats:+.1f} +- {score.held_out_error:.1f}"
+        before, after = candidate.rmse
+        drift = f"{before * 1e3:.1f} -> {after * 1e3:.1f} mm" if candidate.fitted is not None else ""
+        refused = f"  ({candidate.refused})" if candidate.refused else ""
+        lines.append(f"{score.effect.name:<21}{values:<44}{evidence:>10}{held:>16}{drift:>20}{refused}")
     return "\n".join(lines)
+
+
+def _added_line(one: Found, step: Step) -> str:
+    """Return an added effect with the 10 s error of the fitted data before and after."""
+    before, after = step.candidates[0].rmse
+    rivals = f" (= {', '.join(one.aliases)}: the same error)" if one.aliases else ""
+    rivals += f" (or {', '.join(one.rivals)}: these data do not separate them)" if one.rivals else ""
+    name = one.effect.name + words_text(one.effect)
+    return (
+        f"  + {name:<21}{one.nats:+8.1f} nats   "
+        f"{before * 1e3:6.1f} -> {after * 1e3:.1f} mm after 10 s   {one.probability}{rivals}"
+    )
 
 
 def fit_text(result: RobotFit, *, clocks: bool = True) -> str:
@@ -641,10 +622,13 @@ def learned_json(
     """
     found = [*_clocks_found(learned)]
     for place, one in enumerate(effects_found(learned)):
-        entry = _entry(one.effect, one.errors, one.step.alternatives, one.confidence)
-        found.append(entry | _gain(sequence[place], sequence[place + 1]) | _matters(one.effect.name, learned))
-    # parameters of random effects have no standard errors
-    found += [_entry(one.effect, (), (), one.confidence) for one in noise_found(learned)]
+        held_out = None
+        if sequence[place + 1].judged_on != "fitted data":
+            before, after = (_step(sequence[i]) for i in (place, place + 1))
+            keys = ("nats_per_m", "rmse_10m", "rmse_50m", "rmse_10s")
+            held_out = {key: [before[key], after[key]] for key in keys}
+        found.append(_entry(one) | {"held_out": held_out} | _matters(one.effect.name, learned))
+    found += map(_entry, noise_found(learned))
     mistakes = learned.fit.problem.recordings[0].mistakes
     missing = bool(learned.lacking or learned.noise or mistakes)
     unknown = learned.unexplained or is_unexplained(learned, evaluated)
@@ -715,15 +699,16 @@ def reproduction_json(one: Reproduction) -> dict[str, Any]:
 
 def _clocks_found(learned: Learned) -> Iterable[dict[str, Any]]:
     """Return the significant clock effects, with those of the first run representing all."""
-    kinds = registry()
     firsts = {one.name: one for one in reversed([*clocks_found(learned.clocks)])}
     if not firsts:
         return
     change = clock_gain(learned.fit.problem.recordings, learned.clocks.clocks)
     gain = picked(change, rmse_10m="after_10m", rmse_50m="after_50m", rmse_10s="after_10s")
     for one in reversed(firsts.values()):
-        effect = kinds[one.name](**{amplitudes(kinds[one.name])[0].name: one.value})
-        yield _entry(effect, [one.error], (), one.confidence) | {"held_out": {"nats_per_m": [None, None], **gain}}
+        kind = registry()[one.name]
+        effect = kind(**{amplitudes(kind)[0].name: one.value})
+        held_out = {"nats_per_m": [None, None], **gain}
+        yield _entry(Found(effect, [one.error], one.confidence, 0.0)) | {"held_out": held_out}
 
 
 def _matters(name: str, learned: Learned) -> dict[str, Any]:
@@ -737,14 +722,6 @@ def _matters(name: str, learned: Learned) -> dict[str, Any]:
     }
 
 
-def _gain(before: ModelEvaluation, after: ModelEvaluation) -> dict[str, Any]:
-    """Return likelihood and errors before and after an addition, on held-out data."""
-    if after.judged_on == "fitted data":
-        return {"held_out": None}
-    first, last = _step(before), _step(after)
-    return {"held_out": {key: [first[key], last[key]] for key in ("nats_per_m", "rmse_10m", "rmse_50m", "rmse_10s")}}
-
-
 def _unknown(found: FoundDependence) -> dict[str, Any]:
     law = found.law
     return {
@@ -754,15 +731,16 @@ def _unknown(found: FoundDependence) -> dict[str, Any]:
             law, "centres", "curve", "nats", "per", "wavelength_m", "wheels", standard_error="curve_error", p="score.p"
         ),
         "parameters": {
-            name: picked(number, "value", "unit", standard_error="error") for name, number in found.numbers.items()
+            name: {"value": value, "unit": unit, "standard_error": error}
+            for name, (value, error, unit) in found.numbers.items()
         },
         "instead_of": ", ".join(law.instead_of) or None,
     }
 
 
-def _entry(effect: Effect, errors: Sequence[float], alternatives: Sequence[str], confidence: float) -> dict[str, Any]:
-    more = {"alternatives": alternatives, "confidence": confidence, "held_out": None, "negligible": False}
-    return _effect(effect, errors) | more
+def _entry(one: Found) -> dict[str, Any]:
+    more = {"alternatives": one.step.alternatives if one.step else (), "confidence": one.confidence}
+    return _effect(one.effect, one.errors) | more | {"held_out": None, "negligible": False}
 
 
 def _effect(effect: Effect, errors: Sequence[float]) -> dict[str, Any]:

@@ -13,19 +13,15 @@ def picked(one: object, *names: str, **renamed: str) -> dict[str, Any]:
     return {name: attrgetter(path)(one) for name, path in (*zip(names, names, strict=True), *renamed.items())}
 
 
-def finite(values: Mapping[str, Any]) -> dict[str, Any]:
+def finite(value: Any) -> Any:
     """Return values with plain numbers instead of numpy's, and None instead of unknown or infinite ones."""
-    return {key: _finite(own) for key, own in values.items()}
-
-
-def _finite(value: Any) -> Any:
     if hasattr(value, "tolist"):  # a numpy value; tested without importing numpy, which help pages do not need
-        return _finite(value.tolist())
+        return finite(value.tolist())
     match value:
         case Mapping():
-            return finite(value)
+            return {key: finite(own) for key, own in value.items()}
         case list() | tuple():
-            return [_finite(own) for own in value]
+            return [finite(own) for own in value]
         case float():
             return value if math.isfinite(value) else None
         case _:

@@ -14,13 +14,13 @@ from odomcorrupt.report.plain import picked
 from odomcorrupt.scoring.errors import RPE_M, WINDOW_S
 from odomcorrupt.scoring.gate import quantity
 from odomcorrupt.scoring.run import METRICS, ODOMETRY, RunScore, ScoreReport
-from odomcorrupt.summary import ALWAYS, MOST_LINES, Line, Summary
+from odomcorrupt.summary import ALWAYS, MOST_LINES, Line, Summary, aligned
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from odomcorrupt.scoring.gate import Verdict
-    from odomcorrupt.scoring.run import Quantile, RunScore, ScoreReport, Status
+    from odomcorrupt.scoring.run import Status
 
 
 METRIC_WORDS = {
@@ -36,6 +36,7 @@ _NAMED = 5
 """Runs that a failed rule names on the screen; -v, Markdown and JUnit name all."""
 METRIC_HEADS = ("over runs", "n", "median", "95 % interval", "p90", "95 % interval", "max")
 POINT_HEADS = ("drift", "runs", "lost", "median ATE", "p90", "point")
+RUN_HEADS = ("run", "drift, %", "ATE, m", "RPE, m", "10 s, m", "end, m", "jumps", "status")
 
 
 def point_rows(report: ScoreReport) -> list[list[str]]:
@@ -49,11 +50,14 @@ def point_rows(report: ScoreReport) -> list[list[str]]:
 
 def metric_rows(report: ScoreReport) -> list[list[str]]:
     """Return the rows of the table over runs: metric, number of runs, median and p90 with intervals, largest value."""
-    return [
-        [words, str(s.n), quantity(name, s.median.value), _interval(name, s.median), quantity(name, s.p90.value),
-         _interval(name, s.p90), quantity(name, s.max)]
-        for name, words in METRIC_WORDS.items() if (s := report.summary(name)).n
-    ]  # fmt: skip
+    rows = []
+    for name, words in METRIC_WORDS.items():
+        if (s := report.summary(name)).n:
+            cells = [words, str(s.n)]
+            for q in (s.median, s.p90):
+                cells += [quantity(name, q.value), f"{quantity(name, q.low)} to {quantity(name, q.high)}"]
+            rows.append([*cells, quantity(name, s.max)])
+    return rows
 
 
 def score_text(report: ScoreReport) -> str:
@@ -62,28 +66,20 @@ def score_text(report: ScoreReport) -> str:
     if len(report.points) > 1:
         lines += [*_aligned([POINT_HEADS, *point_rows(report)]), ""]
     lines += [*_aligned([METRIC_HEADS, *metric_rows(report)]), ""]
-    lines += [*_aligned([run_heads(), *map(run_cells, report.runs)])]
+    lines += [*_aligned([RUN_HEADS, *map(run_cells, report.runs)])]
     lines += [f"Note: {note}." for note in report.notes]
     return "\n".join(lines)
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     """Return rows with their columns aligned: names to the left, which have no number in them, others to the right."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    left = [i in (0, len(widths) - 1) and not rows[-1][i][:1].isdigit() for i in range(len(widths))]
-    sides = ["<" if to_left else ">" for to_left in left]
-    cells = ([f"{c:{side}{w}}" for c, side, w in zip(row, sides, widths, strict=True)] for row in rows)
-    return ["  ".join(row).rstrip() for row in cells]
+    last = len(rows[-1]) - 1
+    return aligned(rows, [i for i, cell in enumerate(rows[-1]) if i not in (0, last) or cell[:1].isdigit()])
 
 
 def score_brief(report: ScoreReport, verdicts: Sequence[Verdict]) -> Summary:
-    """Return the gate's result, the number of failed runs, the errors, the break-down point and the covariances.
-
-    report : scores of the runs
-    verdicts : verdicts of the gate's rules
-    """
-    said = f"{report.failed} of {len(report.runs)} runs failed{_kinds(report)}"
-    said += f"; estimate: {ODOMETRY}" if report.estimate == ODOMETRY else ""
+    """Return the gate's result, the number of failed runs, the errors, the break-down point and the covariances."""
+    said = _failed(report) + (f"; estimate: {ODOMETRY}" if report.estimate == ODOMETRY else "")
     bad = sum(one.failed for one in verdicts)
     if verdicts:
         broken = f"{bad} of {len(verdicts)} rules broken; {said}"
@@ -123,8 +119,7 @@ def gate_lines(verdicts: Iterable[Verdict]) -> list[str]:
 def score_markdown(report: ScoreReport, verdicts: Sequence[Verdict]) -> str:
     """Return the gate's result, what failed, and the tables of points and over runs, for a summary page of CI."""
     failed = any(one.failed for one in verdicts)
-    title = f"{report.failed} of {len(report.runs)} runs failed{_kinds(report)}"
-    lines = [f"## {'FAILED: ' if failed else 'PASSED: ' if verdicts else ''}{report.estimate}, {title}", ""]
+    lines = [f"## {'FAILED: ' if failed else 'PASSED: ' if verdicts else ''}{report.estimate}, {_failed(report)}", ""]
     for one in verdicts:
         lines += [f"* {'**' * one.failed}{_cell(one.sentence)}{'**' * one.failed}"]
         lines += [f"    * {_cell(name)}" for name in one.runs]
@@ -171,16 +166,16 @@ def score_junit(report: ScoreReport, verdicts: Sequence[Verdict]) -> str:
     )
 
 
-def _kinds(report: ScoreReport) -> str:
-    """Return the kinds of failed runs, as " (2 lost, 1 missing)"; "" if none failed."""
+def _failed(report: ScoreReport) -> str:
+    """Return the number of failed runs and their kinds, as "3 of 9 runs failed (2 lost, 1 missing)"."""
     counts = Counter(run.status for run in report.runs)
     parts = ", ".join(f"{counts[status]} {status}" for status in _STATUSES if counts[status])
-    return f" ({parts})" if parts else ""
+    return f"{report.failed} of {len(report.runs)} runs failed" + (f" ({parts})" if parts else "")
 
 
 def sentences(report: ScoreReport) -> list[str]:
     """Return the results over all runs, a sentence each, the most important first."""
-    lines = [f"{report.failed} of {len(report.runs)} runs failed{_kinds(report)}."]
+    lines = [f"{_failed(report)}."]
     if without := sum(not run.scored for run in report.runs):
         lines.append(f"Errors of runs without a complete output, {without}, count as infinite.")
     if report.identical:
@@ -249,20 +244,11 @@ def _place_sentences(report: ScoreReport) -> list[str]:
     return parts
 
 
-def run_heads() -> list[str]:
-    """Return the heads of the table of runs."""
-    return ["run", "drift, %", "ATE, m", "RPE, m", "10 s, m", "end, m", "jumps", "status"]
-
-
 def run_cells(run: RunScore) -> list[str]:
     """Return a row of the table of runs."""
     values = [100.0 * run.drift, *map(run.metrics.get, ("ate_m", "rpe_m", "error_10s_m", "end_m"))]
     numbers = ["-" if value is None or not isfinite(value) else f"{value:.3f}" for value in values]
     return [run.name, *numbers, str(len(run.jumps_s)), run.status + (f": {run.reason}" if run.reason else "")]
-
-
-def _interval(metric: str, q: Quantile) -> str:
-    return f"{quantity(metric, q.low)} to {quantity(metric, q.high)}"
 
 
 def score_json(report: ScoreReport, verdicts: Sequence[Verdict]) -> dict[str, Any]:

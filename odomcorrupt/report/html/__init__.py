@@ -40,8 +40,6 @@ from odomcorrupt.report.findings import (
     foremost,
     limit_size,
     noise_found,
-    noise_text,
-    numbers_text,
     selected_instead,
     unnamed,
     words_text,
@@ -60,11 +58,11 @@ from odomcorrupt.report.plots.score import along, draw_alone, drift, places
 from odomcorrupt.report.score import (
     METRIC_HEADS,
     POINT_HEADS,
+    RUN_HEADS,
     gate_lines,
     metric_rows,
     point_rows,
     run_cells,
-    run_heads,
     sentences,
 )
 from odomcorrupt.scoring.gate import quantity
@@ -81,12 +79,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.report.findings import FoundDependence, FoundEffect, FoundNoise
+    from odomcorrupt.report.findings import Found
     from odomcorrupt.scoring.gate import Verdict
     from odomcorrupt.scoring.run import ScoreReport
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.select.result import Learned
-    from odomcorrupt.study.validate.compare import Comparison, ModelEvaluation
+    from odomcorrupt.study.validate.compare import Comparison, JudgedOn, ModelEvaluation
     from odomcorrupt.study.validate.evaluation import Evaluation
     from odomcorrupt.study.validate.lack_of_fit import Failure
     from odomcorrupt.summary import Summary
@@ -134,10 +132,17 @@ def prose(text: str) -> str:
 
 
 def picture(name: str, title: str, caption: str, figure: Figure) -> str:
-    """Return a heading and a figure, with a name for links."""
+    """Return a heading and a figure, with a name for links: vectors, or pixels if the vectors are too large."""
+    kind, data = "svg+xml", rendered(figure, "svg")
+    # a figure with embedded pixels would not become smaller
+    # size of a vector figure, bytes, above which it is rasterised if that is smaller; keeps the page below 3 MB
+    if len(data) > 600_000 and b"data:image/png" not in data:
+        pixels = rendered(figure, "png")
+        kind, data = ("png", pixels) if len(pixels) < len(data) else (kind, data)
+    url = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
     return (
         f'<h2>{escape(title)}</h2><figure id="{name}"><figcaption>{prose(caption)}</figcaption>'
-        f'<img src="{_embedded(figure)}" alt="{escape(title)}: {escape(caption)}"></figure>'
+        f'<img src="{url}" alt="{escape(title)}: {escape(caption)}"></figure>'
     )
 
 
@@ -152,21 +157,20 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]], caption: str = ""
     return f'<div class="scroll"><table>{title}<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
-def _embedded(figure: Figure) -> str:
-    """Return a figure as a data URL: vectors, or pixels if the vectors are too large."""
-    kind, data = "svg+xml", rendered(figure, "svg")
-    # a figure with embedded pixels would not become smaller
-    # size of a vector figure, bytes, above which it is rasterised if that is smaller; keeps the page below 3 MB
-    if len(data) > 600_000 and b"data:image/png" not in data:
-        pixels = rendered(figure, "png")
-        kind, data = ("png", pixels) if len(pixels) < len(data) else (kind, data)
-    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
-
-
 def score_html(report: ScoreReport, verdicts: Sequence[Verdict]) -> str:
     """Return the HTML page."""
     title = f"Localisation under drift: {report.estimate}, {len(report.runs)} runs"
     first, *rest = sentences(report)
+    sections = [
+        [f"{s.from_m:.1f} to {s.to_m:.1f} m", f"{s.xy_m[0]:.2f}, {s.xy_m[1]:.2f}", str(s.runs),
+         quantity("_m", s.median_m), quantity("_m", s.p90_m), f"!{s.failures}" if s.failures else "0"]
+        for s in report.sections
+    ]  # fmt: skip
+    runs = []
+    # largest number of runs in the table; the worst ones are listed
+    for run in sorted(report.runs, key=lambda run: -run.metrics.get("ate_m", float("inf")))[:1000]:
+        *cells, status = map(escape, run_cells(run))
+        runs.append([*cells, status if run.status == "ok" else f"!{status}"])
     body = [
         f"<h1>{escape(title)}</h1>",
         f'<p class="quiet">Truth: {escape(report.truth)}. Alignment: {escape(report.align)}.</p>',
@@ -186,51 +190,42 @@ def score_html(report: ScoreReport, verdicts: Sequence[Verdict]) -> str:
         table(POINT_HEADS, [list(map(escape, row)) for row in point_rows(report)]) if len(report.points) > 1 else "",
         "<h2>Over runs</h2>",
         table(METRIC_HEADS, [list(map(escape, row)) for row in metric_rows(report)]),
-        _sections(report),
+        table(_SECTION_HEADS, sections, "Along the path"),
         "<h2>Runs</h2>",
-        _table_of_runs(report),
+        table(RUN_HEADS, runs, "The worst first"),
         *(f'<p class="quiet">Note: {escape(note)}.</p>' for note in report.notes),
     ]  # fmt: skip
-    return page(title, body, _legend(report))
+    return page(title, body, _SCORE_LEGEND.format(report.limits))
 
 
-def _sections(report: ScoreReport) -> str:
-    rows = [
-        [f"{s.from_m:.1f} to {s.to_m:.1f} m", f"{s.xy_m[0]:.2f}, {s.xy_m[1]:.2f}", str(s.runs),
-         quantity("_m", s.median_m), quantity("_m", s.p90_m), f"!{s.failures}" if s.failures else "0"]
-        for s in report.sections
-    ]  # fmt: skip
-    return table(("along the path", "x, y (m)", "runs", "median error", "p90", "losses begin"), rows, "Along the path")
+_SECTION_HEADS = ("along the path", "x, y (m)", "runs", "median error", "p90", "losses begin")
+_SCORE_LEGEND = (
+    "ATE and RPE as evo defines them (root mean squares, the truth interpolated at the stamps of the estimate). "
+    "Lost: more than {0.lost_m:g} m off for {0.lost_s:g} s or until the end; diverged: ten times that far. Jump: the "
+    "error changes by {0.jump_m:g} m within a second. Intervals of quantiles by order statistics, of the break-down "
+    "point by profile likelihood of a logistic regression on the logarithm of the drift."
+)
 
 
-def _table_of_runs(report: ScoreReport) -> str:
-    # largest number of runs in the table; the worst ones are listed
-    worst = sorted(report.runs, key=lambda run: -run.metrics.get("ate_m", float("inf")))[:1000]
-    rows = []
-    for run in worst:
-        cells = [escape(cell) for cell in run_cells(run)]
-        rows.append([*cells[:-1], cells[-1] if run.status == "ok" else f"!{cells[-1]}"])
-    return table(run_heads(), rows, "The worst first")
-
-
-def _legend(report: ScoreReport) -> str:
-    limits = report.limits
-    return (
-        "ATE and RPE as evo defines them (root mean squares, the truth interpolated at the stamps of the estimate). "
-        f"Lost: more than {limits.lost_m:g} m off for {limits.lost_s:g} s or until the end; diverged: ten times that "
-        f"far. Jump: the error changes by {limits.jump_m:g} m within a second. Intervals of quantiles by order "
-        "statistics, of the break-down point by profile likelihood of a logistic regression on the logarithm of the "
-        "drift."
-    )
-
-
+_EVALUATED: dict[JudgedOn, str] = {
+    "fitted data": "Evaluation on the data that they were fitted on, too short for halves.",
+    "folds": "Fitted on these recordings: refitted without each part of them and evaluated on it.",
+    "recordings": "Evaluation on recordings that they were not fitted on.",
+}
 _RUNS, _RUN_POINTS, _RUN_STRETCHES = 20, 200, 8
 """Runs of a model drawn around the truth, points per run, and number of pairs of model and segment with runs."""
 
 
 def explorer(comparison: Comparison) -> str:
     """Return the section of the page: an empty frame, its data and its script."""
-    content = json.dumps(_content(comparison), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    stretches = _stretches(comparison)
+    with_runs = _RUN_STRETCHES // len(comparison.evaluations) or 1
+    data = {
+        "lengths": sorted({h.distance_m for j in comparison.evaluations for h in j.horizons}),
+        "pieces": [_stretch(stretch, comparison) for stretch in stretches],
+        "models": [_model(evaluation, stretches, with_runs) for evaluation in comparison.evaluations],
+    }
+    content = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     return (
         '<h2>Explore</h2><noscript><p class="quiet">With JavaScript enabled, path, residuals and errors can be '
         "explored here; the text and figures below do not need it.</p></noscript>"
@@ -270,17 +265,6 @@ class _Stretch:
     @property
     def truth_xyt(self) -> Array:
         return self.reference.problem.intervals.truth_xyt[self.start]
-
-
-def _content(comparison: Comparison) -> dict[str, Any]:
-    stretches = _stretches(comparison)
-    lengths = sorted({h.distance_m for j in comparison.evaluations for h in j.horizons})
-    with_runs = _RUN_STRETCHES // len(comparison.evaluations) or 1
-    return {
-        "lengths": lengths,
-        "pieces": [_stretch(stretch, comparison) for stretch in stretches],
-        "models": [_model(evaluation, stretches, with_runs) for evaluation in comparison.evaluations],
-    }
 
 
 def _stretches(comparison: Comparison) -> list[_Stretch]:
@@ -378,7 +362,9 @@ def _failure(failure: Failure, evaluation: ModelEvaluation, stretches: list[_Str
     for i, stretch in enumerate(stretches):
         piece = evaluation.pieces[stretch.number]
         if failure.recording in ("", piece.recording.name):
-            spans += [[i, a, b] for a, b in _spans(_holds(failure, piece, stretch))]
+            inside = np.concatenate(([0], _holds(failure, piece, stretch).astype(np.int8), [0]))
+            edges = np.flatnonzero(np.diff(inside)).tolist()  # beginnings and ends of runs of points
+            spans += [[i, a, b - 1] for a, b in zip(edges[::2], edges[1::2], strict=True)]
     length = float(failure.where.split()[1]) if failure.kind == "drift" else None
     place = [round(value, 3) for value in failure.place] if failure.place is not None else None
     return {"channel": CHANNELS.index(failure.channel), "spans": spans, "place": place, "length": length}
@@ -404,12 +390,6 @@ def _holds(failure: Failure, piece: Evaluation, stretch: _Stretch) -> NDArray[np
     return found
 
 
-def _spans(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first and last index of every run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
-    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-
-
 def _poses(xyt: Array) -> dict[str, list[float]]:
     return {"x": _rounded(xyt[:, 0], 3), "y": _rounded(xyt[:, 1], 3), "yaw": _rounded(xyt[:, 2], 4)}
 
@@ -421,9 +401,10 @@ def _rounded(values: Array, places: int) -> list[float]:
 def report_html(comparison: Comparison) -> str:
     """Return the HTML page."""
     title = f"Odometry against truth: {', '.join(comparison.recordings)}"
+    names = ", ".join(j.name for j in comparison.evaluations)
     body = [
         f"<h1>{escape(title)}</h1>",
-        f'<p class="quiet">{escape(_models_line(comparison))}</p>',
+        f'<p class="quiet">Models: {escape(names)}. {_EVALUATED[comparison.judged_on]}</p>',
         "<h2>In words</h2>",
         *_words(comparison),
         "<h2>Side by side</h2>",
@@ -434,15 +415,6 @@ def report_html(comparison: Comparison) -> str:
         *(f'<div data-model="{i}">{_horizon_table(j)}</div>' for i, j in enumerate(comparison.evaluations)),
     ]
     return page(title, body, _COMPARISON_LEGEND)
-
-
-def _models_line(comparison: Comparison) -> str:
-    names = ", ".join(j.name for j in comparison.evaluations)
-    if comparison.judged_on == "fitted data":
-        return f"Models: {names}. Evaluation on the data that they were fitted on, too short for halves."
-    if comparison.judged_on == "folds":
-        return f"Models: {names}. Fitted on these recordings: refitted without each part of them and evaluated on it."
-    return f"Models: {names}. Evaluation on recordings that they were not fitted on."
 
 
 def _words(comparison: Comparison) -> list[str]:
@@ -459,9 +431,8 @@ def _words(comparison: Comparison) -> list[str]:
         if evaluation.failures:
             parts.append(failure_items(evaluation, number))
             more = len(evaluation.failures) - MOST
-            parts += (
-                [f'<p class="quiet">And {more} more, less significant; --json has them all.</p>'] if more > 0 else []
-            )
+            if more > 0:
+                parts.append(f'<p class="quiet">And {more} more, less significant; --json has them all.</p>')
         else:
             parts.append("<p>No motion, time, place or moment in which it fails.</p>")
         parts += [f'<p class="quiet">Note: {prose(note)}.</p>' for note in evaluation.notes]
@@ -534,6 +505,10 @@ def found_html(learned: Learned, sequence: Comparison, advice: Advice, following
     names = [recording.name for recording in learned.fit.problem.recordings]
     title = ", evaluated on ".join([", ".join(names), *(name for name in sequence.recordings if name not in names)])
     mark = " rejected" if learned.added or learned.unknown else ""
+    last, left = len(sequence.evaluations) - 1, []
+    if sequence.evaluations[last].failures:
+        items = failure_items(sequence.evaluations[last], last)
+        left = ["<h2>Where the last model still does not fit</h2>", items, f'<p class="quiet">{escape(SIGNS)}</p>']
     body = [
         f"<h1>What is missing: {escape(title)}</h1>",
         f'<p class="verdict{mark}">{escape(_verdict(learned, sequence))}</p>',
@@ -543,7 +518,7 @@ def found_html(learned: Learned, sequence: Comparison, advice: Advice, following
         _next(learned, sequence, advice, following),
         f"<h2>The error{' falls' if agreement_of(sequence).verdict == 'better' else ''}</h2>",
         sequence_table(sequence),
-        *_left(sequence),
+        *left,
         explorer(sequence),
         picture("error", "Error against distance", _ERROR, draw_errors(sequence)),
         picture("candidates", "Candidates", _CANDIDATES, draw_candidates(learned)),
@@ -554,7 +529,12 @@ def found_html(learned: Learned, sequence: Comparison, advice: Advice, following
     if advice.best is not None:
         caption = f"What to drive: {drive_sentence(advice.best)}. `--drive next.mcap` writes it as /cmd_vel."
         body.append(picture("drive", "The next drive", caption, draw_plan(advice.best)))
-    return page(f"What is missing: {title}", [*body, *_detectable(advice)], _SEARCH_LEGEND)
+    if advice.limits:  # side by side, to save height
+        rows = [[escape(f"{e.effect} {e.parameter}"), escape(limit_size(e))] for e in advice.limits]
+        half = -(-len(rows) // 2)
+        halves = [table(("effect", "smallest size"), some) for some in (rows[:half], rows[half:]) if some]
+        body += ["<h2>Smallest detectable sizes</h2>", f'<div class="beside">{"".join(halves)}</div>']
+    return page(f"What is missing: {title}", body, _SEARCH_LEGEND)
 
 
 _ERROR = (
@@ -581,7 +561,8 @@ _UNKNOWN = (
 
 def _verdict(learned: Learned, sequence: Comparison) -> str:
     parts = []
-    if names := [_named(one) for one in effects_found(learned) if one.effect.name not in learned.of_setup]:
+    found = [one for one in effects_found(learned) if one.effect.name not in learned.of_setup]
+    if names := [" or ".join([one.names, *one.rivals]) + " (negligible)" * one.negligible for one in found]:
         parts.append(f"missing: {', then '.join(names)}")
     if learned.noise:
         parts.append(f"noise found: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")
@@ -592,12 +573,6 @@ def _verdict(learned: Learned, sequence: Comparison) -> str:
     why = rejection(last) if last.verdict.fails and not (learned.unknown or learned.noise) else ""
     text = "; ".join([*parts, unnamed(why, found=bool(parts))] if why else parts) or NOTHING
     return f"{text[0].upper()}{text[1:]}."
-
-
-def _named(one: FoundEffect) -> str:
-    """Return a name with its aliases, its alternatives after "or", and a note if it is negligible."""
-    said = " or ".join([one.names, *one.rivals])
-    return f"{said} (negligible)" if one.negligible else said
 
 
 def _next(learned: Learned, sequence: Comparison, advice: Advice, following: str) -> str:
@@ -611,25 +586,6 @@ def _next(learned: Learned, sequence: Comparison, advice: Advice, following: str
     return f'<div class="next">{command}{listed}{nothing}</div>'
 
 
-def _left(sequence: Comparison) -> list[str]:
-    """Return the remaining lack of fit of the last model."""
-    last = len(sequence.evaluations) - 1
-    if not sequence.evaluations[last].failures:
-        return []
-    return ["<h2>Where the last model still does not fit</h2>", failure_items(sequence.evaluations[last], last),
-            f'<p class="quiet">{escape(SIGNS)}</p>']  # fmt: skip
-
-
-def _detectable(advice: Advice) -> list[str]:
-    """Return the smallest detectable sizes, side by side to save height."""
-    if not advice.limits:
-        return []
-    rows = [[escape(f"{e.effect} {e.parameter}"), escape(limit_size(e))] for e in advice.limits]
-    half = -(-len(rows) // 2)
-    halves = [table(("effect", "smallest size"), some) for some in (rows[:half], rows[half:]) if some]
-    return ["<h2>Smallest detectable sizes</h2>", f'<div class="beside">{"".join(halves)}</div>']
-
-
 _SEARCH_LEGEND = (
     "Held-out: on data that a model was not fitted to, other recordings or the other half of the only one. Nats: log "
     "likelihood; 10 nats are odds of twenty thousand to one. The detectable size is 4.2 standard errors."
@@ -639,10 +595,16 @@ _SEARCH_LEGEND = (
 def _cards(learned: Learned, sequence: Comparison) -> list[str]:
     """Return all findings as cards: name, numbers, confidence, and the error before and after."""
     names = [recording.name for recording in learned.fit.problem.recordings]
-    found = [_clock(line) for line in clock_lines(names, learned.clocks)]
-    found += [_effect(one, sequence) for one in effects_found(learned)]
-    found += [_noise(one) for one in noise_found(learned)]
-    found += [_unknown(one) for one in foremost(dependences_found(learned), 3)]
+    found = []
+    for line in clock_lines(names, learned.clocks):
+        name, _, value = line.partition(": the odometry's clock is off: ")
+        found.append(_card("setup", "clock", [*_values([value]), f"<p>of {escape(name)}</p>"]))
+    found += [_effect(one, sequence) for one in (*effects_found(learned), *noise_found(learned))]
+    for unknown in foremost(dependences_found(learned), 3):
+        said = f"{evidence_words(unknown.law)}; {'fitted' if unknown.fitted else 'suggested'}:"
+        found.append(
+            _card("unknown", "unknown", [f"<p>{escape(said)}</p>", f"<p><code>{escape(unknown.expression)}</code></p>"])
+        )
     return [f'<div class="cards">{"".join(found)}</div>'] if found else []
 
 
@@ -650,44 +612,23 @@ def _card(kind: str, title: str, lines: Sequence[str]) -> str:
     return f'<section class="card {kind}"><h3>{escape(title)}</h3>{"".join(lines).replace("+-", "±")}</section>'
 
 
-def _clock(line: str) -> str:
-    name, _, value = line.partition(": the odometry's clock is off: ")
-    return _card("setup", "clock", [f'<p class="value">{escape(value)}</p>', f"<p>of {escape(name)}</p>"])
-
-
-def _effect(one: FoundEffect, sequence: Comparison) -> str:
-    effect = one.effect
-    lines = [*_values(numbers_text(effect, one.errors)), f"<p>{escape(effect.summary)}</p>"]
+def _effect(one: Found, sequence: Comparison) -> str:
+    effect, noise = one.effect, "noise: " * (one.step is None)
+    lines = [*_values(one.numbers), f"<p>{noise}{escape(effect.summary)}</p>"]
     if one.aliases:
         lines.append(f"<p>= {escape(', '.join(one.aliases))}: one error under two names</p>")
     if one.rivals:
         lines.append(f"<p>or {escape(', '.join(one.rivals))}: these data do not separate them</p>")
-    lines += _meter(one.confidence, one.gain_nats)
+    percent = 100.0 * one.confidence
+    lines.append(f'<span class="meter"><span style="width:{percent:.1f}%"></span></span>')
+    lines.append(f"<p>{percent:.1f} % confidence, {one.nats:.0f} nats</p>")
     for model, extended in pairwise(sequence.evaluations):
         before, after = model.ten_second_error_m, extended.ten_second_error_m
         if extended.name == f"+ {effect.name}" and isfinite(before) and isfinite(after):
             change = f"{size('along', before)} → <strong>{size('along', after)}</strong>"
             lines.append(f"<p>10 s error {change}, held out</p>")
-    return _card(effect.kind, effect.name + words_text(effect), lines)
+    return _card(effect.kind, one.names if noise else effect.name + words_text(effect), lines)
 
 
 def _values(numbers: Iterable[str]) -> list[str]:
     return [f'<p class="value">{escape(number)}</p>' for number in numbers]
-
-
-def _meter(probability: float, nats: float) -> list[str]:
-    return [
-        f'<span class="meter"><span style="width:{100.0 * probability:.1f}%"></span></span>',
-        f"<p>{100.0 * probability:.1f} % confidence, {nats:.0f} nats</p>",
-    ]
-
-
-def _noise(one: FoundNoise) -> str:
-    lines = [*_values(noise_text(one.effect)), f"<p>noise: {escape(one.effect.summary)}</p>"]
-    return _card("noise", one.name, lines + _meter(one.confidence, one.nats))
-
-
-def _unknown(one: FoundDependence) -> str:
-    then = "fitted" if one.fitted else "suggested"
-    lines = [f"<p>{escape(evidence_words(one.law))}; {then}:</p>", f"<p><code>{escape(one.expression)}</code></p>"]
-    return _card("unknown", "unknown", lines)

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.result import Learned, Step
     from odomcorrupt.study.validate.compare import Comparison, ModelEvaluation
@@ -55,10 +54,14 @@ def draw_residuals(comparison: Comparison) -> Figure:
     """Draw growth of the error against every regressor, a row per channel, with its standard deviation by chance."""
     headed = all(piece.headed for evaluation in comparison.evaluations for piece in evaluation.pieces)
     count = 3 if headed else 2
-    shown = _shown(comparison)
+    # all of up to three models, else the first and the last: more would overlap
+    numbered = [(evaluation, i) for i, evaluation in enumerate(comparison.evaluations)]
+    shown = numbered if len(numbered) <= 3 else [numbered[0], numbered[-1]]
     first = shown[0][0].pieces
-    labels = list(_regressors(first[0]))
-    edges = [_edges(np.concatenate([_regressors(piece)[label] for piece in first])) for label in labels]
+    labels, edges = list(_regressors(first[0])), []
+    for label in labels:  # equally wide bins over all but the most extreme values
+        low, high = np.quantile(np.concatenate([_regressors(piece)[label] for piece in first]), [0.005, 0.995])
+        edges.append(np.linspace(low, max(high, low + 1e-9), _BINS + 1))
     drawn: list[list[Array]] = [[] for _ in range(count)]
     with drawing():
         figure = new_figure(12.0, 1.0 + 2.1 * count)
@@ -82,12 +85,6 @@ def draw_residuals(comparison: Comparison) -> Figure:
     return figure
 
 
-def _shown(comparison: Comparison) -> list[tuple[ModelEvaluation, int]]:
-    """Return all of up to three models, else the first and the last, with their numbers: more would overlap."""
-    numbered = [(evaluation, i) for i, evaluation in enumerate(comparison.evaluations)]
-    return numbered if len(numbered) <= 3 else [numbered[0], numbered[-1]]
-
-
 def _regressors(piece: Evaluation) -> dict[str, Array]:
     """Return the regressors by label, each over the K intervals of a segment, in customary units."""
     m = interval_motion(piece.problem)
@@ -99,12 +96,6 @@ def _regressors(piece: Evaluation) -> dict[str, Array]:
         "heading (deg)": np.degrees(np.arctan2(np.sin(m.heading), np.cos(m.heading))),
         "path driven (m)": m.distance,
     }
-
-
-def _edges(values: Array) -> Array:
-    """Return the edges of equally wide bins over all but the most extreme values."""
-    low, high = np.quantile(values, [0.005, 0.995])
-    return np.linspace(low, max(high, low + 1e-9), _BINS + 1)
 
 
 def _rates(pieces: Sequence[Evaluation], regressor: str, channel: int, edges: Array) -> Array:
@@ -271,16 +262,13 @@ def draw_nees(comparison: Comparison) -> Figure:
         right.set(
             ylim=(0.0, 102.0), title="errors inside the model's 90 % interval (%)\n(mean over along, across, yaw)"
         )
+        distances = [h.distance_m for h in max((j.horizons for j in comparison.evaluations), key=len)]
         for axes in (left, right):
-            _distances(axes, [h.distance_m for h in max((j.horizons for j in comparison.evaluations), key=len)])
+            axes.set(xscale="log", xlabel="path driven (m)")
+            axes.set_xticks(distances, [f"{d:g}" for d in distances])
+            axes.xaxis.set_minor_formatter(NullFormatter())
         figure.legend(*left.get_legend_handles_labels(), loc="outside upper left", ncols=3)
     return figure
-
-
-def _distances(axes: Axes, distances: list[float]) -> None:
-    axes.set(xscale="log", xlabel="path driven (m)")
-    axes.set_xticks(distances, [f"{d:g}" for d in distances])
-    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def draw_pit(comparison: Comparison) -> Figure:
@@ -309,7 +297,9 @@ _LENGTHS_M = (0.5, 1.0, 2.0, 5.0, 10.0)
 
 def draw_failure_map(comparison: Comparison) -> Figure:
     """Draw a panel for each model."""
-    length_m = _length(comparison)
+    metres = max(float(piece.interval_metres.sum()) for piece in comparison.evaluations[0].pieces)
+    # short relative to the drive, and long enough for errors to accumulate
+    length_m = max((length for length in _LENGTHS_M if length <= metres / 12), default=_LENGTHS_M[0])
     with drawing():
         figure, panels = model_panels(comparison.evaluations, 4.4, 6.0, 0.9)
         lines = [_panel(axes, evaluation, length_m) for axes, evaluation in panels]
@@ -319,12 +309,6 @@ def draw_failure_map(comparison: Comparison) -> Figure:
         )  # fmt: skip
         bar.ax.axvline(1.0, color=BLACK, linewidth=1.2)
     return figure
-
-
-def _length(comparison: Comparison) -> float:
-    """Return a path length (m) that is short relative to the drive, and long enough for errors to accumulate."""
-    metres = max(float(piece.interval_metres.sum()) for piece in comparison.evaluations[0].pieces)
-    return max((length for length in _LENGTHS_M if length <= metres / 12), default=_LENGTHS_M[0])
 
 
 def _panel(axes: Axes, evaluation: ModelEvaluation, length_m: float) -> LineCollection:
@@ -452,18 +436,13 @@ _LINEAR = 3.0
 """Limit of the axis's linear part, nats; smaller values are no evidence."""
 
 
-def evidence_nats(candidate: Candidate) -> float:
-    """Return the evidence of a candidate, nats; at least zero."""
-    return max(candidate.evidence, 0.0)
-
-
 def draw_candidates(learned: Learned) -> Figure:
     """Draw the best candidates of the first steps and of the last one, on one scale."""
     steps = list(enumerate(learned.rounds, start=1))
     shown = steps if len(steps) <= _STEPS else [*steps[: _STEPS - 1], steps[-1]]
     columns = min(len(shown), 2)
     rows = -(-len(shown) // columns)
-    most = max((evidence_nats(c) for _, step in shown for c in step.candidates), default=1.0)
+    most = max((max(c.evidence, 0.0) for _, step in shown for c in step.candidates), default=1.0)
     with drawing():
         figure = new_figure(11.0 if columns == 2 else 8.0, 0.5 + 2.6 * rows)
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -479,9 +458,16 @@ def draw_candidates(learned: Learned) -> Figure:
 
 
 def _ranking(axes: Axes, title: str, step: Step) -> None:
-    ranked = sorted(step.candidates, key=lambda c: (not c.refused, evidence_nats(c)), reverse=True)[:_MOST]
-    nats = [evidence_nats(c) for c in ranked]
-    colours, labels = zip(*(_bar_of(c, n, step) for c, n in zip(ranked, nats, strict=True)), strict=True)
+    ranked = sorted(step.candidates, key=lambda c: (not c.refused, max(c.evidence, 0.0)), reverse=True)[:_MOST]
+    nats, looks = [max(c.evidence, 0.0) for c in ranked], []
+    for candidate, gain in zip(ranked, nats, strict=True):
+        if candidate.score.effect.name == step.added:
+            looks.append((BLUE, f"{gain:.0f}"))
+        elif candidate.score.effect.name in step.alternatives:
+            looks.append((SKY, f"{gain:.0f}, not separable from it"))
+        else:
+            looks.append((_GREY, candidate.refused or f"{gain:.0f}, others explain it better"))
+    colours, labels = zip(*looks, strict=True)
     places = np.arange(len(ranked))
     bars = axes.barh(places, nats, color=colours, height=0.72)
     axes.bar_label(bars, labels=labels, padding=4, fontsize=8)
@@ -491,16 +477,6 @@ def _ranking(axes: Axes, title: str, step: Step) -> None:
     axes.set_xlabel("evidence (nats)")
     outcome = f"added {step.name}" if step.name else "nothing more to add"
     axes.set_title(f"{title}: {outcome}")
-
-
-def _bar_of(candidate: Candidate, nats: float, step: Step) -> tuple[str, str]:
-    """Return the colour and the label of a candidate's bar."""
-    name = candidate.score.effect.name
-    if name == step.added:
-        return BLUE, f"{nats:.0f}"
-    if name in step.alternatives:
-        return SKY, f"{nats:.0f}, not separable from it"
-    return _GREY, candidate.refused or f"{nats:.0f}, others explain it better"
 
 
 _REGRESSORS = {

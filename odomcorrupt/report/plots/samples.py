@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from numpy.typing import NDArray
 
     from odomcorrupt.batching.dispersion import SpreadReport
     from odomcorrupt.geometry.se2 import Array
@@ -43,7 +44,10 @@ def draw_scan_maps(maps: Sequence[ScanMap], window_m: float, added: str = "noise
         places = figure.add_gridspec(2, len(maps), height_ratios=(panel, 2.2))
         for i, scan_map in enumerate(maps):
             axes = figure.add_subplot(places[0, i])
-            draw_grid(axes, scan_map.grid)
+            # in the usual colours: free white, occupied black, unknown grey
+            _draw_cells(axes, scan_map.grid, scan_map.grid.cells, ("white", BLACK, "#D0D0D0"))
+            axes.set_aspect("equal", adjustable="box")
+            axes.grid(visible=False)
             axes.plot(*scan_map.path_xyt[:, :2].T, color=PATHS[i], linewidth=1.4)
             axes.plot(*scan_map.path_xyt[0, :2], "s", color=PATHS[i], markersize=6, markeredgecolor="white")
             thick = 100.0 * scan_map.thickness_m[-1]
@@ -51,63 +55,44 @@ def draw_scan_maps(maps: Sequence[ScanMap], window_m: float, added: str = "noise
             axes.set(xlabel="x (m)", ylabel="y (m)" if i == 0 else "", xlim=(left, right), ylim=(bottom, top))
             axes.locator_params(axis="x", nbins=5)
         below = places[1, :].subgridspec(1, 2)
-        _off_surface(figure.add_subplot(below[0, 0]), maps)
-        _thickness(figure.add_subplot(below[0, 1]), maps, window_m, added)
+        off, thickness = (figure.add_subplot(below[0, i]) for i in range(2))
+        for colour, scan_map in zip(PATHS[1:], maps[1:], strict=False):
+            step_m = scan_map.marks_m[0]
+            bars: dict[str, Any] = {"width": 0.9 * step_m, "color": colour, "alpha": 0.8, "label": scan_map.name}
+            off.bar(scan_map.marks_m - step_m / 2.0, 100.0 * scan_map.off_surface_m, **bars)
+        off.set_title("distance of hits from the walls of the first map (RMS)")
+        for colour, style, scan_map in zip(PATHS, ("-", "-", (0, (1, 2))), maps, strict=False):
+            line: dict[str, Any] = {"linestyle": style, "color": colour, "markersize": 4, "label": scan_map.name}
+            thickness.plot(scan_map.marks_m, 100.0 * scan_map.thickness_m, "o", **line)
+        added_m = added_thickness(maps[0].thickness_m, maps[1].thickness_m)
+        thickness.plot(maps[0].marks_m, 100.0 * added_m, "s--", color="0.6", markersize=4, label=added)
+        thickness.set_title(f"wall thickness (Razlaw et al. 2015), window {window_m:g} m")
+        for axes in (off, thickness):
+            axes.set(xlabel="distance travelled (m)", ylabel="cm", ylim=(0.0, None), xlim=(0.0, None))
+        off.legend(loc="upper left")
+        thickness.legend(loc="best", ncols=2)
     return figure
 
 
-def draw_grid(axes: Axes, grid: Grid) -> None:
-    """Draw a map in the usual colours: free white, occupied black, unknown grey."""
+def _draw_cells(
+    axes: Axes, grid: Grid, cells: NDArray[Any], colours: Sequence[str], moved: Affine2D | None = None, **more: Any
+) -> None:
+    """Draw cells of a map, with a colour for each value; `moved` is from its frame to that of the axes."""
     image = axes.imshow(
-        grid.cells, origin="lower", extent=grid.extent, cmap=ListedColormap(["white", BLACK, "#D0D0D0"]), vmin=0,
-        vmax=2, interpolation="nearest", zorder=0,
+        cells, origin="lower", extent=grid.extent, cmap=ListedColormap(colours), vmin=0, vmax=max(len(colours) - 1, 1),
+        interpolation="nearest", zorder=0, **more,
     )  # fmt: skip
     x, y, yaw = (float(value) for value in grid.origin_xyt)
-    image.set_transform(Affine2D().rotate_around(x, y, yaw) + axes.transData)
-    axes.set_aspect("equal", adjustable="box")
-    axes.grid(visible=False)
+    image.set_transform(Affine2D().rotate_around(x, y, yaw) + (moved or Affine2D()) + axes.transData)
 
 
 def draw_free_space(axes: Axes, space: FreeSpace) -> None:
     """Draw a map below other content of the odom frame: walls, and pale where the robot's centre cannot be."""
-    x, y, yaw = (float(value) for value in space.grid.origin_xyt)
-    mx, my, myaw = (float(value) for value in space.map_from_odom)
-    to_odom = Affine2D().translate(-mx, -my).rotate(-myaw)
-    for layer, colours, most in (
-        (space.blocked, ("white", "#E4E4E4"), 1),
-        (np.where(space.grid.cells == OCCUPIED, 1, np.nan), (BLACK,), 1),
-    ):
-        image = axes.imshow(
-            layer, origin="lower", extent=space.grid.extent, cmap=ListedColormap(colours), vmin=0, vmax=most,
-            interpolation="nearest", zorder=0, alpha=0.8,
-        )  # fmt: skip
-        image.set_transform(Affine2D().rotate_around(x, y, yaw) + to_odom + axes.transData)
-
-
-def _off_surface(axes: Axes, maps: Sequence[ScanMap]) -> None:
-    """Draw the distance of hits from the clean map's walls, for each part of the drive."""
-    for colour, scan_map in zip(PATHS[1:], maps[1:], strict=False):
-        middle = scan_map.marks_m - scan_map.marks_m[0] / 2.0
-        axes.bar(
-            middle, 100.0 * scan_map.off_surface_m, width=0.9 * scan_map.marks_m[0], color=colour, alpha=0.8,
-            label=scan_map.name,
-        )  # fmt: skip
-    axes.set(xlabel="distance travelled (m)", ylabel="cm", ylim=(0.0, None), xlim=(0.0, None))
-    axes.set_title("distance of hits from the walls of the first map (RMS)")
-    axes.legend(loc="upper left")
-
-
-def _thickness(axes: Axes, maps: Sequence[ScanMap], window_m: float, added: str) -> None:
-    for colour, style, scan_map in zip(PATHS, ("-", "-", (0, (1, 2))), maps, strict=False):
-        axes.plot(
-            scan_map.marks_m, 100.0 * scan_map.thickness_m, "o", linestyle=style, color=colour, markersize=4,
-            label=scan_map.name,
-        )  # fmt: skip
-    added_m = added_thickness(maps[0].thickness_m, maps[1].thickness_m)
-    axes.plot(maps[0].marks_m, 100.0 * added_m, "s--", color="0.6", markersize=4, label=added)
-    axes.set(xlabel="distance travelled (m)", ylabel="cm", ylim=(0.0, None), xlim=(0.0, None))
-    axes.set_title(f"wall thickness (Razlaw et al. 2015), window {window_m:g} m")
-    axes.legend(loc="best", ncols=2)
+    x, y, yaw = (float(value) for value in space.map_from_odom)
+    to_odom = Affine2D().translate(-x, -y).rotate(-yaw)
+    walls = np.where(space.grid.cells == OCCUPIED, 1, np.nan)
+    _draw_cells(axes, space.grid, space.blocked, ("white", "#E4E4E4"), to_odom, alpha=0.8)
+    _draw_cells(axes, space.grid, walls, (BLACK,), to_odom, alpha=0.8)
 
 
 SIGMAS = 2.0
