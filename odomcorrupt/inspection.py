@@ -370,6 +370,13 @@ def summarise(
         """Return whether two topics have the same TF tree; without a source there is no other robot."""
         return with_topic is None or tree_of(topic, scan.channels) == tree_of(with_topic, scan.channels)
 
+    def off_tf_m(o: PathRecord) -> float | None:
+        """Return the largest difference of an odometry from its edge of TF, metres."""
+        ends = {plain(o.frame), plain(o.child)}
+        edges = (e for e in scan.edges if frames is not None and shares(e.topic, o.topic) and "static" not in e.topic)
+        edge = next((e for e in edges if {e.frame, e.child} == ends), None)
+        return None if edge is None else disagreement_m(o, edge, turned=edge.frame != plain(o.frame))
+
     moved = {
         o.topic
         for o in drives
@@ -392,9 +399,8 @@ def summarise(
             for t in scan.topics.values()
         ],
         "odometry": [
-            _described(
-                o, () if frames is None else [e for e in scan.edges if shares(e.topic, o.topic)], moved=o.topic in moved
-            )
+            {"topic": o.topic, "frame": o.frame, "child": o.child, "moved": o.topic in moved, **_findings(o)}
+            | {"tf_differs_m": off_tf_m(o)}
             for o in drives
         ],
         "edges": [
@@ -502,16 +508,6 @@ def _edge_that_drives(scan: BagScan, frames: Frames, topic: str | None) -> PathR
         if asked and {edge.frame, edge.child} == {frames.odom, frames.base}:
             return edge
     return None
-
-
-def _described(record: PathRecord, edges: Sequence[PathRecord], *, moved: bool) -> dict[str, Any]:
-    ends = {plain(record.frame), plain(record.child)}
-    edge = next((e for e in edges if {e.frame, e.child} == ends and "static" not in e.topic), None)
-    off = None if edge is None else disagreement_m(record, edge, turned=edge.frame != plain(record.frame))
-    return {
-        "topic": record.topic, "frame": record.frame, "child": record.child, "moved": moved,
-        **_findings(record), "tf_differs_m": off,
-    }  # fmt: skip
 
 
 def _remarks(

@@ -379,7 +379,11 @@ def found_text(
         said = f"{noise.names}, {', '.join(noise.numbers)} ({noise.probability})"
         lines.append(f"noise: {said}: {noise.effect.summary}")
     for unknown in foremost(dependences_found(learned, fit), 3):
-        lines += _unknown_lines(unknown)
+        other = " and ".join(unknown.law.instead_of)
+        lines.append(f"{f'or instead of {other}' if other else 'unknown'}: {evidence_words(unknown.law)}")
+        spread = ", ".join(f"{name} {value_text(*number)}" for name, number in unknown.numbers.items())
+        shown = f"{unknown.expression}{f'  ({spread})' if spread else ''}"
+        lines.append(f"  {'fitted' if unknown.fitted else 'suggested'}: {shown}")
     lines += [_event_line(one) for one in single_events(learned.fit)]
     lines += [_disagreement_line(one, learned) for one in learned.disagreements]
     lines += [contradiction(one) for one in learned.contradicted]
@@ -452,14 +456,6 @@ def unnamed(why: str, *, found: bool) -> str:
     found : whether the search found an effect
     """
     return f"no {'further ' if found else ''}known effect is missing, but the model is rejected: {why}"
-
-
-def _unknown_lines(unknown: FoundDependence) -> list[str]:
-    other = " and ".join(unknown.law.instead_of)
-    finding = f"{f'or instead of {other}' if other else 'unknown'}: {evidence_words(unknown.law)}"
-    spread = ", ".join(f"{name} {value_text(*number)}" for name, number in unknown.numbers.items())
-    shown = f"{unknown.expression}{f'  ({spread})' if spread else ''}"
-    return [finding, f"  {'fitted' if unknown.fitted else 'suggested'}: {shown}"]
 
 
 def evidence_words(unknown: Dependence) -> str:
@@ -562,7 +558,16 @@ def fit_text(result: RobotFit, *, clocks: bool = True) -> str:
     wander = f", wandering {truth.random_walk * 1e3:.2g} mm per sqrt(s)" if truth.random_walk else ""
     heading = f"{degrees(truth.yaw_rad):.2g} deg" if result.fit.problem.headings else "no headings"
     lines.append(f"the truth's own noise: {truth.xy_m * 1e3:.2g} mm, {heading}{wander}")
-    lines += _event_lines(events(result.fit))
+    if found := events(result.fit):
+        # the largest ones, with the time since the recording's first odometry
+        total = sum(event.end_s - event.start_s for event in found)
+        lines.append(f"{len(found)} stretches ({total:.1f} s) are outliers with reduced weight; the largest:")
+        largest = sorted(found, key=lambda e: abs(e.along_m) + abs(e.yaw_rad), reverse=True)[:8]
+        lines += [
+            f"  {e.recording} {e.start_s:8.1f} to {e.end_s:.1f} s: odometry {e.along_m * 1e3:+.0f} mm ahead of the "
+            f"truth, {degrees(e.yaw_rad):+.2f} deg"
+            for e in sorted(largest, key=lambda e: (e.recording, e.start_s))
+        ]
     lines.append(f"position error after 10 s on the fitted data: {result.ten_second_error_m * 1e3:.1f} mm")
     return "\n".join(lines)
 
@@ -580,19 +585,6 @@ def _interval_line(result: RobotFit, interval: Interval) -> str:
     if result.fit.problem.approach.law_name == "diffusion":
         human = f"= {value * scale:.3g} {unit} after one {_CAUSES[name.partition('_')[2]]}"
     return f"  {name:<13}{value:<10.4g} {ends:<22}  {human}"
-
-
-def _event_lines(found: Sequence[Event]) -> list[str]:
-    """Return the downweighted segments, the largest first, with the time since the recording's first odometry."""
-    total = sum(event.end_s - event.start_s for event in found)
-    lines = [f"{len(found)} stretches ({total:.1f} s) are outliers with reduced weight; the largest:"]
-    largest = sorted(found, key=lambda e: abs(e.along_m) + abs(e.yaw_rad), reverse=True)[:8]
-    lines += [
-        f"  {e.recording} {e.start_s:8.1f} to {e.end_s:.1f} s: odometry {e.along_m * 1e3:+.0f} mm ahead of the truth, "
-        f"{degrees(e.yaw_rad):+.2f} deg"
-        for e in sorted(largest, key=lambda e: (e.recording, e.start_s))
-    ]
-    return lines if found else []
 
 
 def laws_table(results: Mapping[str, RobotFit]) -> str:
