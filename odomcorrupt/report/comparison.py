@@ -165,11 +165,6 @@ def falls_sentence(comparison: Comparison) -> str:
     return f"the error falls to {100.0 * ratio:.0f} % from {first.name} to {last.name}"
 
 
-def _signed(value: float) -> str:
-    """Return a number with its sign and three figures, in fixed-point notation."""
-    return f"{value:+.0f}" if abs(value) >= 100.0 else f"{value:+.3g}"
-
-
 def measures_words(comparison: Comparison, *, most: int | None = None) -> str:
     """Return the measures of the first and the last model, or the first ones, and whether all of them agree.
 
@@ -178,10 +173,11 @@ def measures_words(comparison: Comparison, *, most: int | None = None) -> str:
     """
     agreement = agreement_of(comparison)
     words = [
-        f"{one.name} {_signed(one.after - one.before)} nats/m"
+        f"{one.name} {change:{'+.0f' if abs(change) >= 100.0 else '+.3g'}} nats/m"
         if one.name == "log likelihood"
         else f"{one.name} {size('along', one.before)} -> {size('along', one.after)}"
         for one in agreement.measures
+        for change in [one.after - one.before]
         if one.name != "log likelihood" or one.change != "same"
     ] or ["log likelihood"]
     mixed = ": they disagree" if most is None else ", other measures disagree"

@@ -71,7 +71,15 @@ def draw_residuals(comparison: Comparison) -> Figure:
                 for c in range(count):
                     rates = _rates(evaluation.pieces, label, c, edges[d])
                     shift = (which - (len(shown) - 1) / 2.0) * 0.22
-                    _points(panels[c, d], rates, edges[d], evaluation, number, shift)
+                    mean, chance = rates
+                    centre = (edges[d][:-1] + edges[d][1:]) / 2.0 + shift * (edges[d][1] - edges[d][0])
+                    # a bin with hardly a metre would determine the scale of all
+                    firm = chance < 6.0 * np.nanmedian(chance)
+                    panels[c, d].errorbar(
+                        centre[firm], mean[firm], 2.0 * chance[firm], fmt=MARKERS[number % len(MARKERS)],
+                        color=COLOURS[number % len(COLOURS)], markersize=4, linewidth=1.1, zorder=2 + shift,
+                        label=f"{short_name(evaluation.name)} (bars: two standard deviations)",
+                    )  # fmt: skip
                     drawn[c].append(rates)
         for c in range(count):
             _limit(panels[c], np.concatenate(drawn[c], axis=1))
@@ -113,18 +121,6 @@ def _rates(pieces: Sequence[Evaluation], regressor: str, channel: int, edges: Ar
     mean = np.divide(total, weight, out=np.full(_BINS, np.nan), where=weight > 0.0)
     chance = np.divide(1.0, np.sqrt(weight), out=np.full(_BINS, np.nan), where=weight > 0.0)
     return scale * np.stack((mean, chance))
-
-
-def _points(axes: Axes, rates: Array, edges: Array, evaluation: ModelEvaluation, number: int, shift: float) -> None:
-    mean, chance = rates
-    centre = (edges[:-1] + edges[1:]) / 2.0 + shift * (edges[1] - edges[0])
-    # a bin with hardly a metre would determine the scale of all
-    firm = chance < 6.0 * np.nanmedian(chance)
-    axes.errorbar(
-        centre[firm], mean[firm], 2.0 * chance[firm], fmt=MARKERS[number % len(MARKERS)],
-        color=COLOURS[number % len(COLOURS)], markersize=4, linewidth=1.1, zorder=2 + shift,
-        label=f"{short_name(evaluation.name)} (bars: two standard deviations)",
-    )  # fmt: skip
 
 
 def _limit(row: Sequence[Axes], rates: Array) -> None:
@@ -171,7 +167,12 @@ def draw_errors(comparison: Comparison) -> Figure:
                 _curve(axes, evaluation, what, style, 1.025 ** (2 * i - count + 1))
             axes.set(xscale="log", yscale="log", xlabel="path driven (m)", title=f"{what} error, RMS ({unit})")
             axes.set_ylim(top=1.35 * axes.get_ylim()[1])
-            _counts(axes, comparison.evaluations[-1])
+            last_m = 0.0
+            for h in comparison.evaluations[-1].curve:  # the number of windows, for as many path lengths as fit
+                if h.distance_m >= 1.7 * last_m:
+                    last_m, at = h.distance_m, (h.distance_m, 1.0)
+                    look = {"ha": "center", "va": "top", "fontsize": 7.5, "color": "0.4"}
+                    axes.annotate(str(h.windows), at, xycoords=("data", "axes fraction"), **look)
             for axis in (axes.xaxis, axes.yaxis):
                 plain_logarithm(axis)
         # one legend entry per kind of line, not per model
@@ -201,18 +202,6 @@ def _curve(axes: Axes, evaluation: ModelEvaluation, what: str, style: dict[str, 
     axes.vlines(distance * shift, *ends.T, color=style["color"], linewidth=1.1, alpha=0.8)
     axes.plot(distance * shift, measured, linewidth=1.3, markersize=4.5, label=short_name(evaluation.name), **style)  # type: ignore[arg-type]
     axes.plot(distance, expected, linewidth=1.3, linestyle=(0, (4, 3)), color=style["color"])
-
-
-def _counts(axes: Axes, evaluation: ModelEvaluation) -> None:
-    """Write the number of windows above the points, for as many path lengths as fit."""
-    last = 0.0
-    for h in evaluation.curve:
-        if h.distance_m >= 1.7 * last:
-            axes.annotate(
-                str(h.windows), (h.distance_m, 1.0), xycoords=("data", "axes fraction"), ha="center", va="top",
-                fontsize=7.5, color="0.4",
-            )  # fmt: skip
-            last = h.distance_m
 
 
 def _bars(axes: Axes, comparison: Comparison) -> None:
