@@ -97,12 +97,6 @@ def test_the_example_of_a_page_can_be_typed():
         assert parse_effect(example).effect.acts
 
 
-def test_a_word_can_be_typed():
-    from odomcorrupt.model.model_file import parse_effect
-
-    assert parse_effect("gauss_markov:sigma=0.1,channel=yaw").effect.channel == "yaw"
-
-
 def test_json_lists_all():
     assert [e["name"] for e in json.loads(page("--json"))["effects"]] == list(registry())
 
