@@ -74,11 +74,9 @@ RULES = {
     "study.estimate.outliers:heavy_tails": "None",
     "study.io.encoders:restore_lost": "recording",
     "study.select.confidence:_may_be_dead_band": "False",
-    "study.select.confidence:may_be_scale_of_truth": "False",
     "study.select.dictionary:_patch_of": "[]",
     "study.select.random_effects:_in_both_halves": "True",
     "study.select.selection:_Selection._compare_with_process": "None",
-    "study.select.selection:_Selection._contradicts_physics": "False",
     "study.select.selection:_Selection._drop_misfits": "None",
 }
 """Rules of single kinds of drives, each `module:function` with the expression that it returns if it is switched off."""

@@ -261,23 +261,16 @@ def test_a_search_says_its_stage_the_share_done_and_the_time_left():
     assert 0 < shares[0] < shares[-1] < 100
     assert len(set(shares)) >= 3
     # a stage that is shorter than a tick is not shown
-    assert any(re.search(r"search, step \d+: \w+", line) for line in lines)
+    assert any(re.search(r"search: \w+", line) for line in lines)
     assert any(re.search(r"% done, about \d+ s left", line) for line in lines)
     assert "MISSING" in verdict
 
 
-@pytest.mark.parametrize("steps", [1, 2, 6, 40])
-def test_the_share_done_never_falls_and_stays_below_one_however_long_the_search(steps):
+def test_the_share_done_never_falls_and_stays_below_one_however_long_the_search():
     said = []
-    work = Work(lambda stage, share: said.append((stage, share)), following=2.0)
-    work.begin_clocks()
-    for _ in range(steps):
-        work.begin_step()
-        work.within_step("refits")
-    work.begin("comparison", 2.0, 0.0)
-    shares = [share for _, share in said]
-    assert shares[0] == 0.0
-    assert len(set(shares)) > steps
-    assert all(0.0 <= later - before < 0.5 for before, later in pairwise(shares))
-    assert said[-1] == ("comparison", pytest.approx((1.0 + steps) / (3.0 + steps)))
-    assert said[-2][0] == f"search, step {steps}: refits"
+    work = Work(lambda stage, share: said.append((stage, share)))
+    for _ in range(40):
+        work.begin("refits")
+    assert said[0] == ("refits", 0.0)
+    assert all(0.0 < later[1] - before[1] < 0.5 for before, later in pairwise(said))
+    assert said[-1][1] < 1.0

@@ -21,6 +21,7 @@ from odomcorrupt.report.findings import (
     effects_found,
     effects_with_errors,
     foremost,
+    groups_words,
     inseparable_sentence,
     is_unexplained,
     noise_found,
@@ -34,7 +35,6 @@ from odomcorrupt.summary import ALWAYS, FIRST, FOUND, SPARE, USUAL, Line, Summar
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.report.findings import Found, FoundDependence
     from odomcorrupt.study.design.advise import Advice
@@ -281,7 +281,6 @@ def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[L
         if name in search.of_setup:
             group, label = _SET_UP, "set-up"
         ranks[name] = (group, -one.nats)
-        said += _contact_words(one.effect, search)
         # without any likelier effect it is what the errors fall by
         weight = FOUND if not doubtful else SPARE if sure else USUAL
         ranked.append((ranks[name], Line(label, said, weight=weight, part="" if group == _SET_UP else _part(one))))
@@ -309,7 +308,11 @@ def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[L
     lines = _beside_findings(ranked, [*likely, *noise_found(search)])
     lines += _clock_lines(search.clocks, search.fit)
     lines += [
-        Line("disagree", f"recordings disagree about {one.effect} (p {one.p:.2g}): did the robot change?", "warning")
+        Line(
+            "disagree",
+            f"recordings disagree about {one.effect} (p {one.p:.2g}): {groups_words(one) or 'did the robot change?'}",
+            "warning",
+        )
         for one in search.disagreements
     ]
     lines += [Line("data", contradiction(one), "warning") for one in search.contradicted]
@@ -357,13 +360,6 @@ def _clock_lines(clocks: Clocks, fit: Fit) -> list[Line]:
     first = [[one.clock or one.name for one in runs].index(run.clock or run.name) for run in runs]
     found = [one for one in clocks_found(clocks) if first[one.recording] == one.recording]
     return [Line("clock", f"{one.name} {clock_text(one)} in {names[one.recording]}") for one in found]
-
-
-def _contact_words(effect: Effect, search: Learned) -> str:
-    """Return that an unknown track left wheels untried that slip one by one at the edge of a patch; or ""."""
-    if getattr(effect, "contact", "") != "body" or any(r.track_m is not None for r in search.fit.problem.recordings):
-        return ""
-    return "; give --track: the wheels may cross it separately" if search.drive_type.name == "differential" else ""
 
 
 def fit_brief(result: RobotFit) -> Summary:

@@ -15,7 +15,7 @@ from odomcorrupt.study.estimate.drive_type import readings_of
 from odomcorrupt.study.estimate.outliers import Event, events, single_events
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, part_name
 from odomcorrupt.study.estimate.windows import distance_windows, joint_rmse
-from odomcorrupt.study.select.confidence import Support, confidence, may_be_scale_of_truth, noise_support, support_of
+from odomcorrupt.study.select.confidence import Support, confidence, noise_support, support_of
 from odomcorrupt.study.validate.trajectory_error import clock_gain
 
 if TYPE_CHECKING:
@@ -55,7 +55,6 @@ class Found(NamedTuple):
     aliases : second names of the same error, which no recording can separate
     rivals : names of other effects that explain these data as well
     negligible : whether it is significant, but too small to matter
-    of_truth : whether a varying scale of the truth may cause it
     """
 
     effect: Effect
@@ -66,7 +65,6 @@ class Found(NamedTuple):
     aliases: tuple[str, ...] = ()
     rivals: tuple[str, ...] = ()
     negligible: bool = False
-    of_truth: bool = False
 
     @property
     def names(self) -> str:
@@ -82,7 +80,7 @@ class Found(NamedTuple):
     @property
     def probability(self) -> str:
         """Its confidence, in words."""
-        return confidence_words(self.confidence) + ", or the scale of the truth varies" * self.of_truth
+        return confidence_words(self.confidence)
 
 
 def effects_found(learned: Learned, fit: Fit | None = None) -> list[Found]:
@@ -107,10 +105,7 @@ def effects_found(learned: Learned, fit: Fit | None = None) -> list[Found]:
 def noise_found(learned: Learned) -> list[Found]:
     """Return the detected random effects."""
     supports = ((one, confidence(noise_support(one, learned))) for one in learned.noise)
-    return [
-        Found(one.effect, (), probability, one.nats, of_truth=bool(may_be_scale_of_truth(one, learned)))
-        for one, probability in supports
-    ]
+    return [Found(one.effect, (), probability, one.nats) for one, probability in supports]
 
 
 _GROSS = 2.0
@@ -436,10 +431,18 @@ def _disagreement_line(one: ParameterDifference, learned: Learned) -> str:
     )
     slow = [gain.effect.name for gain in learned.noise if gain.effect.name in CORRELATED_NOISE]
     noise = f" ({slow[0]} may be caused by that)" if slow else ""
+    groups = f" ({words})" if (words := groups_words(one)) else ""
     return (
-        f"the recordings disagree about {one.effect}: {says}. The robot changed between them{noise}: "
+        f"the recordings disagree about {one.effect}: {says}{groups}. The robot changed between them{noise}: "
         "learn from recordings of one state of the robot"
     )
+
+
+def groups_words(one: ParameterDifference) -> str:
+    """Return by how much a parameter is larger in which recordings, and what it varies with; "" if this is unclear."""
+    more, low, high = one.groups or (0.0, [], [])
+    said = [f"{value_text(more, None, one.unit)} larger in {', '.join(high)} than in {', '.join(low)}"] * bool(high)
+    return "; ".join(said + [f"it varies with the {one.varies_with}"] * bool(one.varies_with))
 
 
 def contradiction(one: Candidate) -> str:
@@ -469,8 +472,6 @@ def evidence_words(unknown: Dependence) -> str:
 def dependence(unknown: Dependence) -> str:
     """Return the regressors that an error depends on, as a clause."""
     regressor = ": ".join(filter(None, (unknown.regressor.replace("_", " "), unknown.place)))
-    if unknown.wavelength_m is not None:
-        return f"the {unknown.channel} error is periodic, every {unknown.wavelength_m:.3g} m driven"
     if unknown.wheels:
         whose = "of each wheel" if unknown.wheels == "wheels" else f"of the {unknown.wheels} wheel"
         return f"the error {whose} depends on {regressor}"
@@ -651,7 +652,8 @@ def learned_json(
             for one in single_events(learned.fit)
         ],
         "disagreements": [
-            picked(one, "effect", "parameter", "unit", "p")
+            picked(one, "effect", "parameter", "unit", "p", "varies_with")
+            | {"groups": one.groups and dict(zip(("difference", "smaller", "larger"), one.groups, strict=True))}
             | {
                 "recordings": [
                     {"name": name, "value": value, "standard_error": error}
@@ -719,9 +721,7 @@ def _unknown(found: FoundDependence) -> dict[str, Any]:
     return {
         **picked(found, "expression", in_model="fitted"),
         **picked(law, "channel", depends_on="regressor"),
-        "detail": picked(
-            law, "centres", "curve", "nats", "per", "wavelength_m", "wheels", standard_error="curve_error", p="score.p"
-        ),
+        "detail": picked(law, "centres", "curve", "nats", "per", "wheels", standard_error="curve_error", p="score.p"),
         "parameters": {
             name: {"value": value, "unit": unit, "standard_error": error}
             for name, (value, error, unit) in found.numbers.items()

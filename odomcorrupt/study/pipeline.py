@@ -95,16 +95,16 @@ def learn_robot(
     recordings : runs of one robot, each with its own clock
     held_out : recordings for evaluation; without any, cross-validation on halves of `recordings`
     """
-    work = Work(watch, following=5.5)
+    work = Work(watch)
     recordings, held_out = (
         with_correlation_lengths(thinned(some), choose_approach(some)) if some else some
         for some in (recordings, held_out)
     )
     search = learn(recordings, factors_of(recordings), decisions=decisions, work=work)
-    work.begin("each part on held-out data", 1.5, 4.0)
+    work.begin("each part on held-out data")
     search, (robot, proof, reproduction), remarks = _supported(search, recordings, held_out, work)
     base = fit_robot(recordings, (), law_name=LAW, clocks=search.clocks)
-    work.begin("what the data leave open", 0.7, 2.5)
+    work.begin("what the data leave open")
     advice = advise(search)
     models = {"without effects": base.model}
     names = [effect.name for effect in factors_of(recordings)]
@@ -112,7 +112,7 @@ def learn_robot(
     names += [gain.effect.name for gain in search.noise]
     if names:
         models["with " + ", ".join(names)] = proof.model
-    work.begin("comparison on held-out data", 2.5, 0.0)
+    work.begin("comparison on held-out data")
     placed = [effect.name for effect in proof.model.effects if effect.reads_places]
     unplaced = placed if held_out and shared_frame([*recordings, *held_out]) is None else []
     judged_on = recordings if unplaced else held_out or recordings
@@ -150,7 +150,7 @@ def _supported(
     remarks: list[str] = []
     while True:
         search, parts = drop_unsupported_parts(search, held_out) if held_out else (search, ())
-        work.begin("fit", 0.8, 3.2)
+        work.begin("fit")
         remaining, written, more = _without_excess(search, recordings)
         unusable = written[1].left_out
         remarks += [part.remark for part in parts if part.failure]
@@ -225,12 +225,12 @@ def diagnose_model(
     start = factors_of(recordings) if model is None else (*model.effects, *model.setup.effects)
     if model is None or not model.noise.per_message:
         recordings = thinned(recordings)
-    work = Work(watch, following=3.7)
+    work = Work(watch)
     law = LAW if model is None else model.noise.law_name
     search = learn(recordings, start, law_name=law, decisions=decisions, work=work)
-    work.begin("what the data leave open", 0.7, 3.0)
+    work.begin("what the data leave open")
     advice = advise(search)
-    work.begin("comparison of the additions", 3.0, 0.0)
+    work.begin("comparison of the additions")
     sequence = sequence_comparison(search, with_gyros_corrected(recordings, search.fit), name or "without effects")
     search = replace(search, contributions=contributions(search.fit))
     return DiagnosedModel(search=search, advice=advice, sequence=sequence)

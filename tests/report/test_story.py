@@ -61,11 +61,11 @@ ADVICE = Advice(CHOICES, UNTESTABLE, LIMITS, PLAN)
 NONE = Advice((), (), (), None)
 
 
-def unknown(channel, regressor, *, per="m", wavelength_m=0.0):
+def unknown(channel, regressor, *, per="m"):
     """Say that a basis function explains 40 nats of a channel's error."""
     places = {"position": np.array([[0.0, 0.0], [1.0, 0.5], [2.0, -1.0]]), "heading": np.arange(3.0)}
     centres = places.get(regressor, np.linspace(-1.0, 1.0, 9))
-    function = BasisFunction(regressor, f"k * cos({regressor})", (lambda m: m.distance,), 1, wavelength_m)
+    function = BasisFunction(regressor, f"k * cos({regressor})", (lambda m: m.distance,), 1)
     term = BasisTerm(function, Action(channel, "v" if per == "m" else "omega"))
     score = Score(
         estimate=np.array([0.01]), standard_error=np.array([0.001]), inflation=1.0, p=1e-6,
@@ -82,7 +82,7 @@ UNKNOWNS = (
     unknown("along", "heading"),
     unknown("yaw", "yaw_rate", per="rad"),
     unknown("across", "position"),
-    unknown("along", "distance", wavelength_m=0.52),
+    unknown("along", "acceleration"),
 )
 
 
@@ -144,8 +144,8 @@ def test_the_headline_says_which_dependences_are_not_in_the_model(rich):
 
 def test_a_dependence_of_the_model_is_reported_as_such_though_another_part_was_dropped(rich, sequence):
     """What is dropped changes what others may replace, and a changed copy of a dependence was taken for another one."""
-    law, name = UNKNOWNS[-1], "along_over_distance"
-    fit = rich.fit.refit((*rich.fit.effects, user_effect(name, "along += v * (k * cos(distance))", {"k": 0.01})))
+    law, name = UNKNOWNS[-1], "along_over_acceleration"
+    fit = rich.fit.refit((*rich.fit.effects, user_effect(name, "along += v * (k * cos(acceleration))", {"k": 0.01})))
     rivals = [replace(one, instead_of=("unequal_wheels",)) for one in (UNKNOWNS[0], law)]
     both = replace(rich, fit=fit, unknown=(law, *rivals), laws=(law,), noise=())
     kept = without_parts(both, {"unequal_wheels": "the error grows with it"})
@@ -162,7 +162,6 @@ def test_a_dependence_of_the_model_is_reported_as_such_though_another_part_was_d
     assert f"suggested: {other.expression}" in text
     lines, _ = _found_lines(kept, kept.fit, set())
     remarks = {line.part: line.text.endswith("(not in the model)") for line in lines if "depends" in line.text}
-    remarks |= {line.part: line.text.endswith("(not in the model)") for line in lines if "periodic" in line.text}
     assert remarks == {name: False, "": True}
 
 
@@ -265,7 +264,7 @@ def test_what_explains_about_as_much_as_a_name_is_said_beside_it(rich):
     assert both.left_nats == 0.0
     assert "nan" not in text
     alone = texts.found_text(replace(rich, unknown=UNKNOWNS[4:]), NONE)
-    assert "the along error is periodic, every 0.52 m driven" in alone
+    assert "the along error depends on acceleration" in alone
 
 
 def test_advice_is_a_sentence_for_each_choice_and_one_for_all_that_share_a_drive():

@@ -102,13 +102,6 @@ def test_on_a_patch_where_one_wheel_slips_before_the_other_the_region_says_so():
     assert patch.slip == pytest.approx(run.answer["parameters"]["slip"], rel=0.1)
 
 
-def test_a_wheel_off_its_centre_is_found_by_its_wavelength():
-    found = _looked(77, "eccentric_wheel")[0]
-    assert (found.channel, found.regressor) == ("yaw", "distance")
-    # radii are drawn between 70 and 120 mm
-    assert 2.0 * np.pi * 0.07 < found.wavelength_m < 2.0 * np.pi * 0.12
-
-
 def test_a_compass_that_iron_turns_shows_as_an_error_per_radian_over_the_heading():
     found = _looked(78, "magnetic_heading")[0]
     assert (found.channel, found.regressor, found.per) == ("yaw", "heading", "rad")

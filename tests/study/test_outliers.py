@@ -204,24 +204,12 @@ def test_ticks_are_seen_whatever_tells_the_heading(yaw_from):
     assert encoder_effects(as_recording(simulate(310, None, yaw_from=yaw_from, duration_s=120.0))) == []
 
 
-@pytest.mark.parametrize(
-    ("name", "values", "own_scale", "too_far", "likely"),
-    [
-        ("gyro_bias_walk", {"density": 1e-3}, False, False, True),
-        ("gyro_bias_walk", {"density": 1e-3}, False, True, False),
-        ("gauss_markov", {"sigma": 0.01, "channel": "along"}, True, False, False),
-        ("gauss_markov", {"sigma": 0.01, "channel": "along"}, False, False, True),
-        ("gauss_markov", {"sigma": 0.01, "channel": "yaw"}, True, False, True),
-    ],
-)
-def test_drifts_beyond_the_recordings_and_varying_scales_of_travel_beside_such_a_truth_have_even_odds_at_most(
-    name, values, own_scale, too_far, likely
-):
-    run = SimpleNamespace(own_scale=own_scale, yaw_dead_band_radps=0.0)
-    fitted = SimpleNamespace(problem=SimpleNamespace(recordings=(run,)))
+@pytest.mark.parametrize("too_far", [False, True])
+def test_drifts_beyond_the_recordings_have_even_odds_at_most(too_far):
+    fitted = SimpleNamespace(problem=SimpleNamespace(recordings=(SimpleNamespace(yaw_dead_band_radps=0.0),)))
     learned = SimpleNamespace(held_out={}, left_nats=0.0, steps=[], drifts_too_far=too_far, fit=fitted, misfit=1.0)
-    process = DetectedRandomEffect(effect_from_values(name, values), 500.0)
-    assert (confidence(noise_support(process, learned)) > 0.5) == likely
+    process = DetectedRandomEffect(effect_from_values("gyro_bias_walk", {"density": 1e-3}), 500.0)
+    assert (confidence(noise_support(process, learned)) > 0.5) != too_far
 
 
 CALM = Coefficients(0.006, 0.003, 0.004, 0.0)

@@ -1,6 +1,7 @@
 """Several recordings are one study with effects and noise in common; their halves are held out."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,16 +17,17 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.comparison import comparison_text
-from odomcorrupt.report.findings import found_text
+from odomcorrupt.report.findings import _disagreement_line
 from odomcorrupt.simulation import Segment, simulate, write_mcap
-from odomcorrupt.study.design.advise import advise
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.clocks import find_clocks
-from odomcorrupt.study.estimate.config import Approach
+from odomcorrupt.study.estimate.config import Approach, choose_approach
+from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.intervals import intervals_of
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.reader import one_study, read_study
 from odomcorrupt.study.io.recording import shared_frame, was_fitted
+from odomcorrupt.study.select.heterogeneity import disagreements
 from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.validate.compare import compare
 from odomcorrupt.study.validate.cross_validation import split_of
@@ -345,15 +347,24 @@ def loaded(seed, *, scale=0.0, bias=0.0):
     return replace(recording(driven, noisy_path(reported, NOISE, seed), truth_mm=1.0, seed=seed), track_m=0.4)
 
 
-@pytest.mark.slow
-def test_a_load_that_was_put_on_is_said_and_not_only_called_noise():
-    learned = learn([loaded(801), loaded(802, scale=-0.012)])
-    reported = {one.effect: one for one in learned.disagreements}
-    assert set(reported) == {"wheel_scale"}
-    assert reported["wheel_scale"].values == pytest.approx((0.0, -0.012), abs=0.002)
-    text = found_text(learned, advise(learned))
-    assert "the recordings disagree about wheel_scale: " in text
-    assert "in drive 802. The robot changed between them" in text
+def test_recordings_of_two_groups_are_named_with_what_their_driving_has_in_common():
+    drives = [loaded(801 + i, scale=-0.012 * (i % 2)) for i in range(4)]
+    # the loaded robot is driven at half the speed
+    slow = [replace(r, odometry=slower(r.odometry), truth=slower(r.truth)) for r in drives[1::2]]
+    approach = choose_approach(drives, "diffusion")
+    (one,) = (
+        d for d in disagreements(fit([*drives[::2], *slow], approach=approach), 1e-3) if d.effect == "wheel_scale"
+    )
+    difference, smaller, larger = one.groups
+    assert difference == pytest.approx(0.012, abs=0.003)
+    assert (smaller, larger) == (["drive 802", "drive 804"], ["drive 801", "drive 803"])
+    said = _disagreement_line(one, SimpleNamespace(noise=()))
+    assert "% larger in drive 801, drive 803 than in drive 802, drive 804; it varies with the mean speed). The" in said
+    assert replace(one, values=(0.0, 0.004, 0.008, 0.012)).groups is None
+
+
+def slower(path):
+    return Trajectory(path.stamps_ns[0] + 2 * (path.stamps_ns - path.stamps_ns[0]), path.xyt)
 
 
 @pytest.mark.slow

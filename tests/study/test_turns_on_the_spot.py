@@ -11,7 +11,6 @@ from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.periodic import waves
 from odomcorrupt.study.select.random_effects import random_coefficients
 
 
@@ -43,8 +42,3 @@ def test_gains_of_travel_without_travel_are_tested_for_every_correlation_time():
     fitted = fit([turning()], approach=Approach())
     assert not np.concatenate([m.v for m in fitted.problem.motions]).any()
     assert "along" not in {getattr(one.effect, "channel", "") for one in random_coefficients(fitted, DECISIONS)}
-
-
-@pytest.mark.parametrize("travel_m", [0.0, 0.02, 0.1])
-def test_waves_of_a_drive_too_short_for_a_spectrum_are_tested(travel_m):
-    assert waves(fit([turning(travel_m=travel_m)], approach=Approach()))

@@ -506,8 +506,6 @@ def _drawn(axes: Axes, one: Dependence) -> None:
         label = "heading (deg)"
     else:
         label, factor = _REGRESSORS.get(one.regressor, (one.regressor, 1.0))
-        if one.wavelength_m is not None:
-            label = "path driven, within a turn of the wheel (m)"
         x, curve, error = one.centres * factor, one.curve, one.curve_error
     curve, error = scale * curve, scale * error
     axes.axhline(0.0, color="0.3", linewidth=0.8)

@@ -138,14 +138,7 @@ def noise_support(one: DetectedRandomEffect, learned: Learned) -> Support:
     own = held_out_limit(part_name(one.effect), one.nats, learned)
     slow_turns_lost = any(recording.yaw_dead_band_radps for recording in learned.fit.problem.recordings)
     misfit = one.effect.name in CORRELATED_NOISE and (learned.drifts_too_far or slow_turns_lost)
-    rivals = int(misfit or may_be_scale_of_truth(one, learned))
-    return Support(own, rivals=rivals, left=left, unpredicted=learned.misfit**2 - 1.0)
-
-
-def may_be_scale_of_truth(gain: DetectedRandomEffect, learned: Learned) -> bool:
-    """Return whether a varying gain of travel may be a varying scale of the truth, which has the same residuals."""
-    of_travel = gain.effect.name == "gauss_markov" and getattr(gain.effect, "channel", "") == "along"
-    return of_travel and any(recording.own_scale for recording in learned.fit.problem.recordings)
+    return Support(own, rivals=int(misfit), left=left, unpredicted=learned.misfit**2 - 1.0)
 
 
 def _may_be_dead_band(name: str, learned: Learned) -> bool:

@@ -88,11 +88,6 @@ class Dependence:
         return self.term.action.target if self.term.action.by_wheel else ""
 
     @property
-    def wavelength_m(self) -> float | None:
-        """Period of an error that is periodic over the travelled distance, m; else None."""
-        return self.term.function.wavelength_m or None
-
-    @property
     def place(self) -> str:
         """Location of the error in words, as in "within 2 m of (1.0, -0.5)"; "" if it is not confined to a place."""
         return self.term.function.place
@@ -105,14 +100,8 @@ def dependence_of(fit: Fit, term: BasisTerm, nats: float, dictionary: Dictionary
     nats : its gain minus its cost
     """
     (score,) = score_terms(fit, [term], dictionary)
-    if term.function.wavelength_m:  # hats are too wide to resolve a wave
-        where = np.linspace(0.0, term.function.wavelength_m, 13)
-        angle = 2.0 * np.pi * where / term.function.wavelength_m
-        unit = np.stack((np.cos(angle), np.sin(angle)), axis=1)
-        curve = where, unit @ score.estimate, np.sqrt(unit**2 @ score.standard_error**2)
-    else:
-        curve = _curve(fit, term, score.inflation) or (np.zeros(1), score.estimate[:1], score.standard_error[:1])
-    centres, values, errors = curve
+    one = np.zeros(1), score.estimate[:1], score.standard_error[:1]
+    centres, values, errors = _curve(fit, term, score.inflation) or one
     return Dependence(centres=centres, curve=values, curve_error=errors, nats=nats, term=term, score=score)
 
 

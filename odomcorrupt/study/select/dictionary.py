@@ -24,7 +24,7 @@ from odomcorrupt.study.io.clock import as_rows, clock_leaders, led
 from odomcorrupt.study.io.recording import ranks_of
 from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.evidence import FOLDS, Evidence
-from odomcorrupt.study.select.periodic import flat_spots, waves
+from odomcorrupt.study.select.periodic import flat_spots
 from odomcorrupt.study.select.screening import CoarseDesign
 from odomcorrupt.study.select.shape_search import ShapeSearch
 from odomcorrupt.study.terms.basis.place import rectangle_of
@@ -130,7 +130,7 @@ class Dictionary:
                     shapes = [search.maximise(one) for one in (best, max(map(search.climb, related), key=search.gain))]
                 self._add(*shapes)
         count, kinds = len(fit.problem.intervals), dict[tuple[str, str], list[tuple[float, BasisTerm]]]()
-        found = [(s.nats - penalty(s.term, count, self.decisions), s.term) for s in [*search.promising(), *waves(fit)]]
+        found = [(s.nats - penalty(s.term, count, self.decisions), s.term) for s in search.promising()]
         for nats, term in sorted(found, key=itemgetter(0), reverse=True):
             kind = kinds.setdefault((term.function.regressor, term.action.channel), [])
             if nats > -self.decisions.basis_nats and len(kind) < 2 * _OF_ITS_KIND:

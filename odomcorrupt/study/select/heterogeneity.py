@@ -21,12 +21,17 @@ from odomcorrupt.study.io.clock import clock_leaders
 from odomcorrupt.study.select.score import project_out
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
 
 _CHANGING = ("wheel_scale", "unequal_wheels", "wheelbase", "gyro_bias")
 """Effects whose size loads, tyres, floors and a restart change between drives."""
 _LARGEST_ERROR = 0.5
 """Largest standard error of a recording that is compared, as a fraction of the parameter's physical range."""
+_FEWEST = 4
+"""Least number of recordings that can form groups."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,6 +42,7 @@ class ParameterDifference:
     recordings : names of the R recordings that determine the parameter
     values, standard_errors : (R,) estimates from each of them
     p : probability of such a difference for an unchanged robot
+    varies_with : property of the recordings that the values vary with, "" if with none
     """
 
     effect: str
@@ -46,6 +52,22 @@ class ParameterDifference:
     values: tuple[float, ...]
     standard_errors: tuple[float, ...]
     p: float
+    varies_with: str = ""
+
+    @property
+    def groups(self) -> tuple[float, list[str], list[str]] | None:
+        """Two groups of recordings that are farther apart than each is wide, None if there are none.
+
+        By how much the parameter is larger in the second group, and the names of the recordings of both.
+        """
+        values, order = np.array(self.values), np.argsort(self.values)
+        cut = int(np.argmax(np.diff(values[order]))) + 1
+        both = order[:cut], order[cut:]
+        apart = float(values[both[1]].mean() - values[both[0]].mean())
+        if len(order) < _FEWEST or 2.0 * max(float(np.ptp(values[some])) for some in both) > apart:
+            return None
+        low, high = ([self.recordings[i] for i in sorted(some.tolist())] for some in both)
+        return apart, low, high
 
 
 def disagreements(fit: Fit, level: float) -> tuple[ParameterDifference, ...]:
@@ -92,6 +114,21 @@ def disagreements(fit: Fit, level: float) -> tuple[ParameterDifference, ...]:
                 values=tuple(values.tolist()),
                 standard_errors=tuple(errors.tolist()),
                 p=chance,
+                varies_with=_varies_with(fit, np.array(runs)[valid].tolist(), values),
             )
             found.append((square, one))
     return tuple(one for _, one in sorted(found, key=lambda pair: -pair[0]))
+
+
+def _varies_with(fit: Fit, runs: Sequence[int], values: Array) -> str:
+    """Return whether a parameter (R,) varies with the speed or the turns of the recordings, "" if with neither."""
+    motions, leaders = fit.problem.motions, np.array(clock_leaders(fit.problem.recordings))
+    rates = np.concatenate([np.column_stack((m.dt_s, m.v, m.omega)) for m in motions])
+    own = [rates[np.repeat(leaders, [len(m) for m in motions]) == leader] for leader in runs]
+    sums = np.array([(np.abs(v) @ dt, np.abs(w) @ dt, (v != 0.0) @ dt) for dt, v, w in (x.T for x in own)])
+    travel, turn, moving_s = np.maximum(sums, 1e-9).T
+    properties = {"mean speed": travel / moving_s, "turns per metre": turn / travel}
+    # a property that is the same in all of them explains nothing
+    related = [(abs(float(np.corrcoef(values, x)[0, 1])), name) for name, x in properties.items() if np.ptp(x) > 0.0]
+    most, name = max(related, default=(0.0, ""))
+    return name if len(runs) >= _FEWEST and most > 0.9 else ""

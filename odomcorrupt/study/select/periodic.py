@@ -1,8 +1,7 @@
 """Periodic errors: screening for errors that repeat with each revolution of a wheel, as of an eccentric one.
 
-Waves over the distance rolled by a wheel are tested in the heading (along the path if there are no headings) at all
-wavelengths at once. The score of each step is binned over distance, and one Fourier transform gives the score of every
-wave (Lomb's periodogram on a grid).
+Waves over the distance rolled by a wheel are tested in the heading at all wavelengths at once. The score of each step
+is binned over distance, and one Fourier transform gives the score of every wave (Lomb's periodogram on a grid).
 """
 
 from __future__ import annotations
@@ -12,15 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.expression import CHANNELS
 from odomcorrupt.effects.gears import FlatSpot
 from odomcorrupt.effects.wheels import TRACKS_M
 from odomcorrupt.study.estimate.drive_type import drive_type_of
 from odomcorrupt.study.select.score import project_out
-from odomcorrupt.study.select.screening import Screened
-from odomcorrupt.study.terms.basis import BasisFunction
-from odomcorrupt.study.terms.channels import Action
-from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
+from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,20 +31,6 @@ _GRID_M = 0.02  # bin of the distance, m
 _TRIED = 3  # wavelengths scored exactly for each distance
 
 
-def waves(fit: Fit) -> list[Screened]:
-    """Return the waves with the largest scores, and the gain of each from exact columns, nats."""
-    problem, whitener = fit.problem, fit.noise.whitener
-    rest = project_out(fit)
-    channel = "yaw" if problem.headings else "along"
-    score = _scores(fit, whitener.pulled(rest.residual), channel)
-    found = []
-    for text, distance in _distances(problem.motions[0].track_m):
-        for wavelength_m in _likeliest(fit, score, distance):
-            term = BasisTerm(_wave(text, distance, wavelength_m), Action(channel, "v"))
-            found.append(Screened(term, rest.gain(whitener.whiten(term.columns(problem)))))
-    return found
-
-
 def flat_spots(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
     """Return flat spots of either wheel at the likeliest circumferences and phases, as a family; none for a car.
 
@@ -59,7 +40,7 @@ def flat_spots(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
     if not problem.headings or drive_type_of(problem.recordings).steered:
         return []
     rest, whiten = project_out(fit), fit.noise.whitener.whiten
-    score = _scores(fit, fit.noise.whitener.pulled(rest.residual), "yaw")
+    score = _scores(fit, fit.noise.whitener.pulled(rest.residual))
     own = problem.motions[0].track_m
     found: list[tuple[float, FlatSpot]] = []
     for track_m in TRACKS_M if own is None else (own,):
@@ -80,22 +61,12 @@ def flat_spots(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
     return [tuple(LibraryTerm(spot, trials * len(forms)) for spot in forms)] if forms else []
 
 
-def _distances(track_m: float | None) -> list[tuple[str, Callable[[Motion], Array]]]:
-    """Return the distances to test, as text and function: of the body, and of each wheel if the track is known."""
-    distances: list[tuple[str, Callable[[Motion], Array]]] = [("distance", lambda m: m.distance)]
-    if track_m is not None:
-        for side, sign in ((0.5 * track_m, "+"), (-0.5 * track_m, "-")):
-            text = f"(distance {sign} {abs(side):.4g} * theta)"
-            distances.append((text, lambda m, side=side: m.rolled(side)[1:]))  # type: ignore[misc]
-    return distances
-
-
-def _scores(fit: Fit, pull: Array, channel: str) -> Array:
-    """Return the score (n,) of each step for an error in one channel proportional to its travel."""
+def _scores(fit: Fit, pull: Array) -> Array:
+    """Return the score (n,) of each step for an error of the heading proportional to its travel."""
     intervals = fit.problem.intervals
     moved = np.concatenate([m.v * m.dt_s for m in fit.problem.motions])
     unit = np.zeros((len(moved), 3))
-    unit[:, CHANNELS.index(channel)] = -moved
+    unit[:, 2] = -moved
     interval = np.repeat(np.arange(len(intervals)), np.diff(np.append(intervals.first, len(intervals.source))))
     return np.einsum("in,ni->n", intervals.carried(unit), pull[interval])
 
@@ -136,15 +107,3 @@ def _smooth(strength: Array) -> Array:
     total = np.concatenate(([0.0], np.cumsum(strength)))
     low, high = (np.clip(np.arange(len(strength)) + k, 0, len(strength)) for k in (-width, width + 1))
     return np.maximum((total[high] - total[low]) / (high - low), 1e-300)
-
-
-def _wave(text: str, distance: Callable[[Motion], Array], wavelength_m: float) -> BasisFunction:
-    pace = 2.0 * np.pi / wavelength_m
-    trials = int(4.0 * (1.0 / SHORTEST_M) / 0.003)
-    return BasisFunction(
-        "distance",
-        f"k * cos({pace:.6g} * {text}) + m * sin({pace:.6g} * {text})",
-        (lambda m: np.cos(pace * distance(m)), lambda m: np.sin(pace * distance(m))),
-        trials,
-        wavelength_m,
-    )

@@ -85,7 +85,7 @@ def learn(
     start : effects that are in the model from the beginning and are not dropped
     law_name : the noise law, see `odomcorrupt.model.noise_laws`
     """
-    (work := work or Work()).begin_clocks()
+    (work := work or Work()).begin("clocks")
     start = (*start, *mounting_of(recordings, start))
     as_given, encoders = recordings, encoder_effects(recordings[0])
     recordings = [restore_lost(recording, encoders) for recording in recordings]
@@ -150,9 +150,6 @@ class _Selection:
     def run(self) -> None:
         """Select terms and random processes in turn until neither changes."""
         self._select()
-        if self._contradicts_physics():
-            self.fit, self.terms = self.fit.refit([e for e in self.fit.effects if e.name in self.given]), {}
-            return
         self._compare_with_process()
         while self._include_process():
             self._select()
@@ -169,21 +166,12 @@ class _Selection:
             # the error of bursts is an effect, and not noise of every step
             self.fit = self.fit.refit((*effects, *bursts))
 
-    def _contradicts_physics(self) -> bool:
-        """Return whether one effect gains more than the whole model, but only with a sign that physics forbids."""
-        low, high = (np.where(b, b, far) for b, far in ((self.evidence.low, -np.inf), (self.evidence.high, np.inf)))
-        others = [j for j, t in enumerate(self.competing) if j not in self.chosen and isinstance(t, LibraryTerm)]
-        one = [self.chosen, *((j,) for j in others if self.competing[j].name not in self.decisions.commanded)]
-        score = replace(self.evidence, low=low, high=high).gains(one).score
-        forbidden = ~np.isfinite(self.evidence.gains(one).score)
-        return bool(np.isfinite(score[0]) and np.any(score[forbidden] > score[0] + self.decisions.replacement_nats))
-
     def _select(self) -> None:
         """Take rounds until the best set of terms is that of the model."""
         for _ in range(_ROUNDS):
-            self.work.begin_step()
+            self.work.begin("search: effects")
             self._linearise()
-            self.work.within_step("refits")
+            self.work.begin("search: refits")
             if not self._refit_best():
                 break
         self._drop_misfits()
@@ -368,7 +356,7 @@ class _Selection:
         found = random_coefficients(self.fit, self.decisions)
         if not found:
             return False
-        self.work.within_step("random processes")
+        self.work.begin("search: random processes")
         before = self.fit
         larger, effect = iterate(before.refit(random=(*before.random, found[0].effect)), found[0].effect)
         recurs = self.dictionary.recurring and self._is_worse(larger, before)  # it takes part of what recurs

@@ -27,7 +27,6 @@ class BasisFunction:
     text : expression of an effect, with coefficients named as in `COEFFICIENTS`
     parts : one function per coefficient, from a motion of n intervals to values (n,)
     trials : size of the family that the function is selected from
-    wavelength_m : wavelength of a wave over the travelled distance, m; else 0
     form : "step" or "hinge" at a threshold, which are searched separately; else ""
     reaches : classes of targets, see `Action.reaches`, except those for which the library has the effect
     shape, steps : shape parameters that may be refined, and the first step of a search over each
@@ -42,7 +41,6 @@ class BasisFunction:
     text: str
     parts: tuple[Of, ...]
     trials: int = 1
-    wavelength_m: float = 0.0
     form: str = ""
     reaches: tuple[str, ...] = ("body",)
     shape: tuple[float, ...] = ()
