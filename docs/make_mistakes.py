@@ -65,6 +65,8 @@ OWN = {
         "then": "its headings are multiplied, or its path is made again of its steps and headings",
     },
     "in reverse": {"v": 1, "w": -1},
+    "bursts": {"few": 18, "apart": 0.6}, "resets": {"where": "4.99 m at 77 s"}, "slow turns": {"rate": 26},
+    "flips": {"how": "while its path goes on"},
     "limit": {"top": 0.45, "share": "76%", "far": 2},
     "publishers": {"share": "50%", "far": 1.4},
     "plane": {"who": "/truth"}, "headings of the truth": {"who": "/truth", "what": "are 0 or 180 deg alone"},

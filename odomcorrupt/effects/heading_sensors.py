@@ -101,7 +101,7 @@ class GyroDeadBand(Effect):
         drive="long slow bends to one side: the odometry reports a straight line",
     )
 
-    threshold: float = parameter("rad/s", "yaw rate below which zero is reported", low=0.0, high=0.5, typical=0.015)
+    threshold: float = parameter("rad/s", "yaw rate below which zero is reported", low=0.0, high=3.0, typical=0.015)
     noise: float = parameter(
         "rad/s", "standard deviation of the gyro's noise in a message", low=1e-6, high=0.1, typical=0.002,
         identity=0.002, amplitude=False,

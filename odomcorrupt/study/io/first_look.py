@@ -19,9 +19,11 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.motion import step_of
 from odomcorrupt.geometry.se2 import Increments, accumulate, between, increments, wrap
 from odomcorrupt.geometry.trajectory import distance_along
+from odomcorrupt.study.io.jumps import reach_of, stretches
 from odomcorrupt.study.io.plausibility import check_pair, cross_correlation
-from odomcorrupt.study.io.raw_trajectory import CLOCK_S, FEWEST, READ_AS, REPEATED, runs_of
+from odomcorrupt.study.io.raw_trajectory import CLOCK_S, FEWEST, NO_STAMPS, READ_AS, REPEATED, runs_of
 from odomcorrupt.study.io.recording import Mistake
+from odomcorrupt.study.io.yaw_dead_band import yaw_dead_band
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -81,7 +83,7 @@ UNITS = {"feet": 1.0 / 0.3048, "inches": 1.0 / 0.0254, "centimetres": 100.0, "mi
 _LENGTHS = {per_m: f"{unit} for metres" for unit, per_m in UNITS.items()}
 _OF_TRAVEL = _LENGTHS | {
     2.0: "diameter for radius, or one edge of the encoder counted instead of two", 4.0: "quadrature counted once",
-    3.6: "km/h for m/s",
+    3.6: "km/h for m/s", 2.0 * np.pi: "2 pi left out", 30.0 / np.pi: "rpm for rad/s", 2.54: "inches for centimetres",
 }  # fmt: skip
 _OF_TURNS = _LENGTHS | {2.0: "half of it for the whole", _DEGREE: "degrees for radians"}
 """Likely causes of factors near these or their inverses."""
@@ -212,11 +214,26 @@ def _courses(path: Samples, factor: float, beside: Array | float = 0.0) -> tuple
 
     beside : directions of the steps from that heading, rad, of a robot that drives sideways
     """
-    step = np.diff(path.xyz[:, :2] @ [1.0, 1j]) * np.exp(-1j * np.asarray(beside))
+    place, parts = path.xyz[:, :2] @ [1.0, 1j], (0.0, 0.5, 1.0)
     yaws = factor * np.array((path.yaw_rad, np.unwrap(path.yaw_rad)))
-    courses = [yaw[:-1] + part * np.diff(yaw) for yaw in yaws for part in (0.0, 0.5, 1.0)]
-    fits = [_concentration(2.0 * (np.angle(step) - course)[moving(np.abs(step))]) for course in courses]
-    return courses[best := int(np.argmax(fits))], fits[best]
+    # directions are those of chords that are long beside noise, unless the heading turns too far along them
+    usual, far = np.median(np.abs(np.diff(place))), isinstance(beside, np.ndarray) and abs(factor) <= 2.0
+    every = min(int(15.0 * _noise(path.xyz[:, :2]) / max(usual, 1e-9)), len(path) // 20) if far else 1
+    rows = np.arange(0, len(path), max(every, 1))
+    aside = beside[rows[:-1]] if isinstance(beside, np.ndarray) else 0.0
+    step, signs = (
+        np.diff(place[rows]),
+        (1.0, -1.0)[: 1 + (factor == -1.0 and far)],
+    )  # a mirrored path goes the other way
+    moves = moving(np.abs(step))
+    fits = [
+        max(_concentration(2.0 * (np.angle(step) - sign * aside - yaw[rows[:-1]] - part * np.diff(yaw[rows]))[moves])
+            for sign in signs)
+        for yaw in yaws for part in parts
+    ]  # fmt: skip
+    best = int(np.argmax(fits))
+    yaw = yaws[best // len(parts)]
+    return yaw[:-1] + parts[best % len(parts)] * np.diff(yaw), fits[best]
 
 
 def _chords(xy: Array) -> tuple[Array, NDArray[np.int64]]:
@@ -588,6 +605,8 @@ def _steps_and_headings(look: Look, i: int) -> Figures | None:
         return None
     yaw = path.yaw_rad if np.ptp(path.yaw_rad) > 2.0 * np.pi + 0.01 else np.unwrap(path.yaw_rad)
     step = np.diff(path.xyz[:, :2] @ [1.0, 1j]) * np.exp(-1j * _courses(path, k, beside)[0])
+    aside = [_concentration(2.0 * (np.angle(x) - np.asarray(beside))) for x in (step, np.conj(step))]
+    step = np.conj(step) if k == -1.0 and aside[1] > aside[0] and isinstance(beside, np.ndarray) else step
     # how far the path is turned from these headings, but for half a turn
     askew = float(np.angle(np.mean((step * np.exp(-1j * np.asarray(beside))) ** 2))) / 2.0
     turned, sideways = abs(askew) > _ASKEW, isinstance(beside, np.ndarray)
@@ -609,18 +628,25 @@ def _steps_and_headings(look: Look, i: int) -> Figures | None:
 
 
 def _flips(look: Look, i: int) -> Figures | None:
-    """Find headings that jump by half a turn while the path goes on."""
-    path = look.paths[i]
+    """Find headings that jump by half a turn, alone or with their path, while the other trajectory goes on."""
+    path, steady = look.paths[i], replace(look.paths[i], yaw_rad=np.unwrap(look.paths[i].yaw_rad, period=np.pi))
     turn, step = np.abs(wrap(np.diff(path.yaw_rad))), np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
     around = np.maximum(np.append(turn[1:], 0.0), np.append(0.0, turn[:-1]))
     jumps = np.flatnonzero((turn > np.pi - 0.35) & (around < 0.35) & (step < 3.0 * np.percentile(step, 95.0)))
+    if not path.headed or look.own[i].fixed > _FOLLOWS or not len(jumps):
+        return None
     # headings that are courses jump where a robot backs up
     ends = np.clip(jumps + np.array(((-_FEWEST,), (0,), (1,), (1 + _FEWEST,))), 0, len(step))
     before, _, after = np.diff(path.xyz[ends, :2], axis=0)
     on = np.sum(before * after, axis=1) > -0.5 * np.prod(np.linalg.norm((before, after), axis=2), axis=0)
-    few = look.own[i].fixed > _FOLLOWS or not len(jumps) or on.mean() < 0.5
-    undo = lambda path: _ahead(look, i, replace(path, yaw_rad=np.unwrap(path.yaw_rad, period=np.pi)))  # noqa: E731
-    return {"i": i, "count": len(jumps), "undo": undo} if path.headed and not few else None
+    if on.mean() >= 0.5:
+        return {"i": i, "count": len(jumps), "how": "while its path goes on", "undo": lambda _: _ahead(look, i, steady)}
+    rows = increments(path.trajectory().xyt).rows
+    rows[:, 2] = np.diff(steady.yaw_rad)
+    mended = _moved_by(path, rows)
+    if not look.headed or 1.0 - look.having(i, mended).turns_by(i, 1.0) > (1.0 - look.turns_by(i, 1.0)) / 2.0:
+        return None
+    return {"i": i, "count": len(jumps), "how": "and so does its path, unlike the other's", "undo": lambda _: mended}
 
 
 def _ahead(look: Look, i: int, path: Samples) -> Samples:
@@ -666,13 +692,18 @@ def _unrelated(look: Look, i: int) -> Figures | None:
 def _never_turns(look: Look) -> Figures | None:
     """Find odometry that does not turn; what it does where the truth turns on the spot shows why."""
     own, real, _ = look.sizes[1]
-    still = look.own[0].straight or (own < 0.1 * real and abs(look.correlations[2, 2]) < _UNCLEAR)
+    still = look.own[0].straight or (
+        own < 0.1 * real and look.correlations[2, 2] < _UNCLEAR and look.own[0].turned < 1.0
+    )
     if not still or real <= _FEW_TURNS:
         return None
     here, there = look.windows[0][:, 0], np.abs(look.windows[1])
     spot = moving(there[:, 2]) & (there[:, 0] < _MOVING * np.percentile(there[:, 0], 80.0))
-    unsigned = spot.sum() >= _FEWEST and np.mean(here[spot] > 0.01 * look.window_s) > 0.8
-    return {"causes": _NO_DIRECTION if unsigned else _NO_TURNS}
+    sides = [spot & (look.windows[1][:, 2] * side > 0.0) for side in (1, -1)]
+    ahead = [np.mean(here[side] > 0.01 * look.window_s) > 0.8 for side in sides if side.sum() >= _FEWEST / 2.0]
+    # turns on the spot to one side alone are driven ahead by one wheel, too
+    unsigned = [_NO_DIRECTION] * (all(ahead) and len(ahead) > 0)
+    return {"causes": "; ".join([_NO_TURNS] * (len(ahead) == 1 or not unsigned) + unsigned)}
 
 
 def _upright(look: Look) -> Figures | None:
@@ -693,11 +724,10 @@ def _publishers(look: Look, i: int) -> Figures | None:
     xy = look.paths[i].xyz[:, :2]
     n = len(xy) - _FEWEST
     far = np.linalg.norm([xy[k : n + k] - xy[:n] for k in range(1, _FEWEST)], axis=2) if n > 0 else np.zeros((2, 1))
-    back = (far[1:].min(axis=0) < 0.1 * far[0]) & (far[0] > 0.02 * np.linalg.norm(xy.std(axis=0)))
-    share = f"{back.mean():.0%}"
-    return (
-        {"i": i, "share": share, "few": _FEWEST, "far": float(np.median(far[0][back]))} if back.mean() > 0.2 else None
-    )
+    # ticks that come and go at rest are small
+    back = (far[1:].min(axis=0) < 0.1 * far[0]) & (far[0] > max(_ARM_M, 0.02 * np.linalg.norm(xy.std(axis=0))))
+    found = {"i": i, "share": f"{back.mean():.0%}", "few": _FEWEST}
+    return found | {"far": float(np.median(far[0][back]))} if back.mean() > 0.2 else None
 
 
 def _inverse(look: Look, i: int) -> Figures | None:
@@ -727,27 +757,50 @@ def _rate(look: Look) -> Figures | None:
     factor = spans[1 - i] / spans[i]
     if not logged and 0.2 < factor < 5.0:
         i, factor = 0, spans[1] / spans[0]
-    if abs(np.log(factor)) < _ALIKE / 2.0:
-        return None
 
-    def undo(path: Samples) -> Samples:
+    def stretched(path: Samples, factor: float) -> Samples:
         beside = look.paths[1 - i]
         start = beside.stamps_ns[0] + (path.log_ns[0] - beside.log_ns[0] if logged else 0)
         return path.stamped(start + np.round((path.stamps_ns - path.stamps_ns[0]) * factor).astype(np.int64))
 
-    def alike(one: Samples, other: Samples, *, from_start: bool) -> float:
-        reach_s = min(60.0, one.span_s / 2.0, other.span_s / 2.0)
-        corr = cross_correlation(one.trajectory(), other.trajectory(), reach_s, from_start=from_start, smoothing_s=2.0)
+    def alike(factor: float, *, from_start: bool) -> float:
+        pair = list(look.paths)
+        pair[i] = stretched(pair[i], factor) if factor != 1.0 else pair[i]
+        reach_s = min(60.0, *(path.span_s / 2.0 for path in pair))
+        one, other = (path.trajectory() for path in pair)
+        corr = cross_correlation(one, other, reach_s, from_start=from_start, smoothing_s=2.0)
         return float(np.maximum(corr.both, corr.mirrored).max())
 
-    one, other = look.paths
-    mended = alike(*((one, undo(other)) if i else (undo(one), other)), from_start=True)
     # farther apart, there is no motion at any shift to compare with
-    near = alike(one, other, from_start=False) if 0.05 < factor < 20.0 and one.shared_s(other) > 0.0 else 0.0
-    if mended < max(0.7, near + 0.2):
+    shared = 0.05 < factor < 20.0 and look.paths[0].shared_s(look.paths[1]) > 0.0
+    near = alike(1.0, from_start=False) if shared else 0.0
+    least = max(0.7, near + 0.2)
+    if abs(np.log(factor)) < _ALIKE / 2.0 and near < 0.7:
+        i, factor, least = 0, 1.0, 0.95  # spans are equal if the last messages of one are missing
+        for reach in (0.2, 0.01):
+            trials = factor * np.exp(np.linspace(-reach, reach, 41))
+            factor = max(trials.tolist(), key=lambda k: alike(k, from_start=True))
+    if abs(np.log(factor)) < _ALIKE / 2.0 or (mended := alike(factor, from_start=True)) < least:
         return None
     doubt = "" if logged else ", or the other one by the inverse"
-    return {"i": i, "rate": 1.0 / factor, "factor": factor, "best": mended, "doubt": doubt, "undo": undo}
+    undo = lambda path: stretched(path, factor)  # noqa: E731
+    return {"i": i, "rate": 1.0 / factor, "factor": float(factor), "best": mended, "doubt": doubt, "undo": undo}
+
+
+def _bursts(look: Look, i: int) -> Figures | None:
+    """Find poses that are stamped in bursts, a small part of their usual interval apart, while the robot moves on."""
+    path, usual_s = look.paths[i], look.paths[i].span_s / len(look.paths[i])
+    apart_s, moved = np.diff(path.t_s), np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
+    ends = np.flatnonzero(apart_s > 2.0 * usual_s)
+    few = len(ends) < max(FEWEST, len(path) / 200.0) or np.median(apart_s) > 0.1 * usual_s
+    # where poses are missing between bursts, it moves farther there
+    uneven = few or np.ptp(np.percentile(apart_s[ends], (5.0, 95.0))) > 1.0
+    if uneven or np.percentile(moved[ends], 90.0) > 3.0 * np.percentile(moved, 90.0):
+        return None
+    stamps = np.round(np.interp(np.arange(len(path)), ends, path.stamps_ns[ends] - path.stamps_ns[0]))
+    between = np.arange(ends[0], ends[-1] + 1)  # nothing shows when the first ones, and the last, were measured
+    undo = lambda p: p.stamped(p.stamps_ns[0] + stamps.astype(np.int64)).only(between)  # noqa: E731
+    return {"i": i, "few": round(len(path) / len(ends)), "apart": float(np.median(apart_s[ends])), "undo": undo}
 
 
 def _late(look: Look) -> Figures | None:
@@ -921,7 +974,9 @@ def _overflows(look: Look, i: int) -> Figures | None:
     both = steps[(steps > np.sort(steps, axis=0)[-3:][:1] / 4.0).all(axis=1)]
     # where one wheel's increments jump, travel changes by half of it and the heading by it over the track
     ends = np.percentile(both[:, 0] / both[:, 1], (25.0, 50.0, 75.0)) if len(both) > 2 else np.arange(3.0)
-    for arm_m in (float(ends[1]), 0.0)[int(ends[2] > 1.3 * ends[0]) :] if i == 0 and len(rows) >= FEWEST else ():
+    # beside a truth that goes as far, jumps are those of play in the gears or of noise
+    fine = len(rows) < FEWEST or (look.paths[0] is not look.paths[1] and look.agree)
+    for arm_m in (float(ends[1]), 0.0)[int(ends[2] > 1.3 * ends[0]) :] if i == 0 and not fine else ():
         wheels = rows[:, 0] + np.array(sorted({-arm_m, arm_m}))[:, None] * rows[:, 2]
         jump = np.abs(np.diff(wheels, axis=1))
         wheel_m = float(np.median(jump[jump >= np.sort(jump, axis=None)[-3] / 2.0]))
@@ -938,7 +993,7 @@ def _overflows(look: Look, i: int) -> Figures | None:
             far = (np.abs(real - wheels) > wheel_m / 2.0).any(axis=0)
             rows[:, 0] = real.mean(axis=0)
             rows[:, 2] = (real[1] - real[0]) / (2.0 * arm_m) if arm_m else np.interp(n, n[~far], rows[~far, 2])
-            return _counter(count, wheel_m, wheel_m / (2.0 * arm_m or np.inf), real, rows)
+            return _counter(count, wheel_m, wheel_m / (2.0 * arm_m or np.inf), real, rows, look.paths[0].t_s[1:][far])
     # jumps that turn a robot by more than half a turn have another sign; rare ones are bridged
     size = np.hypot(rows[:, 0], rows[:, 1])
     speed = size / np.diff(look.paths[0].t_s)
@@ -953,10 +1008,10 @@ def _overflows(look: Look, i: int) -> Figures | None:
     wheel_m = float(np.median(size[far] + sides * np.abs(usual[far, 0])))  # the wheel goes on meanwhile
     if np.mean(np.abs(size[far] - wheel_m) < 0.25 * wheel_m) < 0.5:  # travel has the cosine of a steering angle
         return None
-    return _counter(int(far.sum()), wheel_m, bend, size[~far], usual)
+    return _counter(int(far.sum()), wheel_m, bend, size[~far], usual, look.paths[0].t_s[1:][far])
 
 
-def _counter(count: int, wheel_m: float, turn: float, increments_m: Array, rows: Array) -> Figures:
+def _counter(count: int, wheel_m: float, turn: float, increments_m: Array, rows: Array, at_s: Array) -> Figures:
     """Return the figures of a counter of a range in metres that overflows; its ticks are gaps of increments.
 
     turn : of a jump, rad, of whose arc the range is a chord unless the odometry's steps are straight
@@ -969,6 +1024,8 @@ def _counter(count: int, wheel_m: float, turn: float, increments_m: Array, rows:
     bits = round(power := float(np.log2(max(wheel_m / tick, 1.0))))
     known = bits > 7 and abs(power - bits) < 0.02
     width = f"2^{bits} ticks of {tick * 1e3:.3g} mm: a counter of {bits} bits" if known else "often 16 bits"
+    if (every_s := np.diff(at_s)).min() > 0.5 and np.mean(np.abs(every_s - np.rint(every_s)) < 0.1) > 0.9:
+        width = "once a second: rather a time step of the nanoseconds alone"
     return {"count": count, "size": size, "width": width, "undo": lambda path: _moved_by(path, rows)}
 
 
@@ -1037,10 +1094,11 @@ def _limit(look: Look) -> Figures | None:
     """Find odometry that keeps its largest speed where the truth is faster, and agrees below."""
     here, there = (np.abs(x[:, 0]) for x in look.windows[:2])
     top = float(np.percentile(here, 98.0))
-    at, below = here > 0.97 * top, (here > _MOVING * top) & (here < 0.8 * top)
-    if below.sum() < _FEWEST or at.mean() < _MOVING:
+    at, below = here > 0.97 * top, (here > _MOVING * top) & (here < 0.97 * top)
+    if below.sum() < _FEWEST or at.mean() < _MOVING / 2.0:
         return None
-    far, usual = np.percentile(there[at] / here[at], (10.0, 50.0)), float(np.median(there[below] / here[below]))
+    # in bends the outer wheel may be at its limit
+    far, usual = np.percentile(there[at] / here[at], (10, 50)), float(np.percentile(there[below] / here[below], 25.0))
     if not 1.0 - _CLOSE < usual < 1.0 + _CLOSE or far[0] < usual + 0.05 or far[1] < usual + _CLOSE:
         return None
     return {"top": top / look.window_s, "far": float(far[1]), "share": f"{at.mean():.0%}"}
@@ -1071,8 +1129,9 @@ def _whole_steps(look: Look) -> Figures | None:
         odd = np.rint(rows[:, 0] / per / step) + np.rint(rows[:, 2] / per / turn)
         wheels = 2 if np.mean(odd % 2.0) < 0.01 else 1
     # increments of ticks lose nothing, and speeds that are rounded neither
-    near = abs(lost - wheels / 2.0) < max(0.2, 0.1 * wheels, min(2.5 * error, 0.3))
-    if lost < max(0.25, 2.5 * error) or not near:
+    near = abs(lost - wheels / 2.0) < max(0.2, 0.1 * wheels)
+    usual = float(np.median(np.abs(rows[:, 0] / per)[np.abs(rows[:, 0]) > 0.0]))
+    if lost < max(0.25, 2.5 * error) or not near or lost * step < 0.04 * usual:
         return None
     mended = rows + np.sign(rows) * per[:, None] * lost * np.array((step, 0.0, turn))
     said = f"{'speeds' if speeds else 'increments'} are whole steps of {1e3 * wheels * step:.3g} mm{'/s' * speeds}"
@@ -1086,16 +1145,27 @@ def _whole_positions(look: Look, i: int) -> Figures | None:
     # usual travel between messages, of some seconds, so that a step is a small part of it
     every = min(max(int(4.0 * len(path) / path.span_s), 1), len(path) // 2)
     far = float(np.percentile(np.linalg.norm(xy[every:] - xy[:-every], axis=1), 90.0)) / every
-    if not low > 0.2 * far > 0.0 or high > 1.01 * low:
+    if not high > 0.2 * far > 0.0 < low:
         return None
-    count = np.abs(np.rint(np.diff(xy, axis=0) / low))
+    count = np.abs(np.rint(np.diff(xy, axis=0) / high))
     # a drive along the axes at one speed has steps of one length, one after the other
     moves = np.any(count > 0.0, axis=1)
     if len(np.unique(count)) < 3 and np.mean(np.diff(moves)[moves[1:] | moves[:-1]]) < 0.5:
         return None
-    few = int(10.0 * low / far) + 1
+    few = int(10.0 * high / far) + 1
     undo = {"undo": lambda p: p.only(np.arange(0, len(p), few))} if len(path) > 2 * FEWEST * few else {}
-    return {"i": i, "few": few, "step": f"{1e3 * low:.3g} mm", "far": 1e3 * far, **undo}
+    return {"i": i, "few": few, "step": f"{1e3 * high:.3g} mm", "far": 1e3 * far, **undo}
+
+
+def _resets(look: Look, i: int) -> Figures | None:
+    """Find lasting jumps of odometry, beyond which it goes on from another pose."""
+    path = look.paths[0]
+    rows = stretches(path, reach_of(path, path)).rows if i == 0 and len(path) >= FEWEST else ()
+    far = {int(own[0]): float(np.linalg.norm(path.xyz[own[0]] - path.xyz[own[0] - 1])) for own in rows[1:]}
+    if not 0 < len(far) <= _FEWEST or min(far.values()) < 3.0 * _ARM_M:
+        return None
+    jumps = ", ".join(f"{metres:.2f} m at {path.t_s[k]:.0f} s" for k, metres in far.items())
+    return {"where": jumps, "undo": lambda path: path}
 
 
 def _repeated(look: Look) -> Figures | None:
@@ -1128,7 +1198,7 @@ def _stands(look: Look, i: int) -> Figures | None:
     still = (size <= (1e-3, 0.04)[i] * np.percentile(size, 95.0, axis=0)).all(axis=1)
     lost, runs = moves & still, runs_of(np.asarray(still))
     lost_s, share = float(lost.sum()) * look.window_s / 4.0, float(lost.sum()) / max(moves.sum(), 1)
-    if lost_s < 10.0 or (share < 0.2 and all(moves[a:b].sum() * look.window_s <= 40.0 for a, b in runs)):
+    if lost_s < 10.0 or (share < 0.2 and all(moves[a:b].sum() * look.window_s <= 20.0 for a, b in runs)):
         return None
     for a, b in runs:  # a pose that stays is wrong also while the other one rests
         lost[a:b] |= lost[a:b].any()
@@ -1148,32 +1218,42 @@ def _one_curvature(look: Look) -> Figures | None:
     here = path.within(starts, look.window_s)
     # poses that are left out make one even motion
     seen = np.diff(np.searchsorted(path.t_s, (starts, starts + look.window_s)), axis=0)[0] > 1
-    moves, usual = moving(np.hypot(here[:, 0], here[:, 1])), int(40.0 / look.window_s)
+    speeds = [np.hypot(x[:, 0], x[:, 1]) for x in (here, there)]
+    moves, usual = moving(speeds[0]), int(40.0 / look.window_s)
+    # wheels without direction travel where the truth turns on the spot
+    seen &= speeds[0] < 3.0 * speeds[1] + 0.02 * np.percentile(speeds[0], 95.0)
     turning = np.abs(here[:, 2]) > 1e-6
     ahead = turning & moves & (np.abs(here[:, 0]) > np.abs(here[:, 1]))
     bend = _densest(here[ahead, 2] / here[ahead, 0], usual)
     rate = _densest(here[turning, 2], usual)
     arcs = f"drives arcs of {1.0 / max(abs(bend), 1e-6):.2g} m to the {'left' if bend > 0.0 else 'right'}"
     quiet = 1e-6 + 0.02 * float(np.percentile(np.abs(there[:, 2]), 95.0))
-    turned = there[:, 2]
+    turned, pivots = there[:, 2], bend * here[:, 0]
     for does, own, off in (
         ("has one heading", 0.0 * turned, turned),
-        (f"{arcs}, as about a wheel at rest,", bend * here[:, 0], turned - bend * there[:, 0]),
+        (f"{arcs}, as about a wheel at rest,", pivots, turned - bend * there[:, 0]),
         (f"turns at {np.degrees(rate) / look.window_s:.2g} deg/s", rate + 0.0 * turned, turned),
     ):
         turns = moving(off) & seen & (moves | ~own.any())
-        runs = runs_of(np.asarray(np.abs(here[:, 2] - own) < quiet))
-        a, b = max(runs, key=lambda run: turns[run[0] : run[1]].sum(), default=(0, 0))
-        many = turns[a:b].sum()
-        few = a == b or many * look.window_s < 40.0 or turns.sum() - many < _FEWEST
+        runs = sorted(runs_of(np.asarray(np.abs(here[:, 2] - own) < quiet)), key=lambda run: -turns[slice(*run)].sum())
+        lost = np.zeros(len(starts), dtype=bool)
+        for run in [run for run in runs if turns[slice(*run)].sum() >= _FEWEST]:
+            lost[slice(*run)] = True
+        # a loose contact loses a wheel, and half of the travel, for some moments each
+        ratios = [speeds[0][x & moves] / (speeds[1][x & moves] + 1e-9) for x in (lost, ~lost)]
+        if own is not pivots or not min(map(len, ratios)) or np.median(ratios[0]) > 0.75 * np.median(ratios[1]):
+            lost[:] = False
+            lost[slice(*(runs[0] if runs else (0, 0)))] = True
+        many = turns[lost].sum()
+        few = many * look.window_s < 40.0 or turns.sum() - many < _FEWEST
         # noise of the truth's headings does not add up, and a gyro's dead band has no usual turns
-        few = few or min(look.own[0].turned, np.ptp(off[a:b].cumsum()) / 4.0) < 1.0
-        lost = (np.arange(len(starts)) >= a) & (np.arange(len(starts)) < b)
+        few = few or min(look.own[0].turned, np.ptp(off[lost].cumsum()) / 4.0) < 1.0
         # commands of even curvature follow there, and other mistakes do not elsewhere
         follows = [abs(_correlations(here[x], there[x])[2, 2]) for x in (lost, ~lost)] if not few else [1.0, 1.0]
         if follows[0] > _FOLLOWS or (look.paths[1].headed and follows[1] < _CLEAR):
             continue
-        when = f"from {starts[a]:.0f} s to {starts[b - 1] + look.window_s:.0f} s"
+        parts = f", in {len(runs_of(lost))} parts" * (len(runs_of(lost)) > 1)
+        when = f"from {starts[lost][0]:.0f} s to {starts[lost][-1] + look.window_s:.0f} s{parts}"
         return {"when": when, "does": does, "undo": _without(look, 0, lost)}
     return None
 
@@ -1202,11 +1282,10 @@ def _turns_too_far(look: Look) -> Figures | None:
         return None
     # between messages a robot that turns so fast drives an arc
     arcs_m = np.diff(distance_along(path.xyz[:, :2])) / np.sinc(wrap(np.diff(path.yaw_rad)) / (2.0 * np.pi))
-    far = float(arcs_m.sum()) / path.span_s / max(look.speeds_mps[1], 1e-9)
     causes = ["wheel separation in other units (centimetres, millimetres)", "degrees for radians"]
     if look.paths[1].headed and look.turns_by(0, _DEGREE) > look.turns_by(0, UNITS["centimetres"]):
         causes.reverse()
-    said = "; ".join(causes)
+    said, far = "; ".join(causes), float(arcs_m.sum()) / path.span_s / max(look.speeds_mps[1], 1e-9)
     if far > UNITS["feet"]:
         said = f"wheel radius in other units (centimetres, millimetres): it travels about {far:.0f} times as far, too"
     return {"most": np.degrees(most), "usual": np.degrees(usual), "causes": said}
@@ -1284,17 +1363,23 @@ _KEPT = "the model has the factor, and is of this odometry as it is"
 
 # fmt: off
 PATTERNS = (
-    Pattern("stamps", "{note}", "stamps in whole seconds, or one for all poses of a loop; a column of another unit",
-            "stamp each pose when measured, in seconds and nanoseconds; name a column t_ms or t_us", "they are used",
+    Pattern("stamps", "{note}", "stamps in whole seconds, or one for all poses of a loop; never filled in; a column of "
+            "another unit", "stamp each pose when measured, in seconds and nanoseconds; name a column t_ms or t_us",
+            "they are used",
             lambda look, i: next(({"i": i, "note": one, "undo": lambda path: path} for one in look.paths[i].notes
-                                  if one.endswith(REPEATED) or (READ_AS in one and READ_AS not in
+                                  if one.endswith((REPEATED, NO_STAMPS)) or (READ_AS in one and READ_AS not in
                                                                 "".join(look.paths[1 - i].notes))), None), alone=True),
+    Pattern("bursts", "{who}: its stamps come in bursts of {few} poses {apart} s apart, between which it moves on",
+            "stamped on arrival behind a buffer or a radio link", "stamp each pose when measured",
+            "its poses are spread evenly between bursts", _bursts, alone=True),
     Pattern("clock rate",
             "{who}: its clock advances {rate} s in a second of {other}'s{doubt} (stretched, motions correlate by "
-            "{best})", "stamps in another unit, or counted at another rate; a simulation slower than its clock",
+            "{best})", "stamps in another unit, or counted at another rate; a simulation slower than its clock; a "
+            "queue that grows, read slower than it is filled",
             "give stamps of one clock in seconds", "its stamps are multiplied by {factor}", _rate),
     Pattern("whole positions", "{who}: its positions are whole multiples of {step}, and it travels {far} mm at most "
-            "between messages", "integers or few digits", "publish positions as they are computed",
+            "between messages", "integers, few digits, or large coordinates in single precision",
+            "publish positions as they are computed, about an origin nearby",
             "one pose of {few} is used", _whole_positions, alone=True),
     Pattern("repeated poses",
             "{who} repeats its last pose for up to {longest} s while {other} moves, and then jumps ({count} times)",
@@ -1308,6 +1393,9 @@ PATTERNS = (
             "the jumps are taken out", _overflows, alone=True),
     Pattern("publishers", "{who}: {share} of its poses jump by {far} m and back within {few} messages",
             "several robots or publishers on one topic", "give each its own topic", "", _publishers, alone=True),
+    Pattern("resets", "{who}: its pose jumps by {where}, and goes on from there",
+            "the node or the board was restarted; a counter was reset; a speed is read as unsigned",
+            "keep pose and counts over a restart", "the parts are recordings of their own", _resets, alone=True),
     Pattern("quaternion without w",
             "{who}: its orientations are no unit quaternions (w is 0 or 1 in all): its headings are wrong",
             "w was never set beside z = sin(yaw / 2)",
@@ -1316,8 +1404,9 @@ PATTERNS = (
     Pattern("steps and headings", "{who}: its path turns {times} its headings, and its {which} as {other}",
             "{causes}", "convert angles once, before quaternions, sines and cosines; turn a compass by 90 deg - yaw; a "
             "column's name says its unit (yaw_deg, yaw_rad)", "{then}", _steps_and_headings, alone=True),
-    Pattern("flips", "{who}: its headings jump by 180 deg while its path goes on ({count} times)",
-            "an arc cosine or tangent of one argument; an angle modulo 180 deg; markers that a tracker confuses",
+    Pattern("flips", "{who}: its headings jump by 180 deg {how} ({count} times)",
+            "an arc cosine or tangent of one argument; an angle modulo 180 deg, or 180 for 360 at its wrap; markers "
+            "that a tracker confuses; the frame of a wheel, which rolls",
             "take atan2 of both components; make markers asymmetric", "the jumps are undone", _flips, alone=True),
     Pattern("Euler steps", "{who}: each step goes along its heading at the step's {at}, and turns by up to {most} deg",
             "x += v cos(yaw) dt at a low rate", "use yaw halfway, or integrate at the rate of the wheels",
@@ -1353,6 +1442,11 @@ PATTERNS = (
             "steps farther each time", "integers in a loop or a protocol, cut off",
             "keep the remainder for the next cycle, or take floating point",
             "half a step is added to each wheel, and not in the model", _whole_steps),
+    Pattern("slow turns", "{who} reports no turns slower than {rate} deg/s, {other} turns then, too",
+            "a dead band against the noise of a gyro or of increments; speeds cut to whole steps",
+            "leave it out, or apply it at rest alone", "it is part of the model",
+            lambda look: {"rate": float(np.degrees(rate)), "undo": lambda path: path}
+            if (rate := yaw_dead_band(*look.paths)) else None),
     Pattern("limit", "{who} goes {top} m/s at most, in {share} of its time; the truth travels {far} times as far "
             "then, and agrees at lower speeds", "ticks lost above a speed; a counter or a message that saturates",
             "count by hardware, or with fewer ticks; a wider type; " + _RECORD, "", _limit),
@@ -1380,7 +1474,8 @@ PATTERNS = (
             lambda look: _one_way(look, 2)),
     Pattern("turns otherwise",
             "{who} travels as the truth does, but its turns do not follow the truth's (correlation {corr})",
-            "degrees given to a tangent or sine; the angle of another joint or axis", _RECORD, "", _turns_otherwise),
+            "degrees given to a tangent or sine; the angle of another joint or axis; a truth of a point far from the "
+            "axle, without headings", _RECORD, "", _turns_otherwise),
     Pattern("sideways", "{who} {how} {other}; forwards they agree",
             "two wheels are exchanged; the sideways part of the kinematics has another sign or factor, or is left out",
             "mend the sideways part", _UNDONE, _aside),

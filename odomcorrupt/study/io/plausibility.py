@@ -205,7 +205,7 @@ def _check_motion(here: Samples, there: Samples) -> None:
     if extents[0] > _MOVES_M and extents[1] < _STILL_M and extents[1] * _FACTOR < extents[0]:
         raise RecordingError(
             f"{there.place}: stands still while the odometry moves over {extents[0]:.1f} m; name the truth of this "
-            "robot"
+            "robot, in metres (not degrees of latitude and longitude)"
         )
 
 
@@ -238,6 +238,6 @@ def check_together(here: Samples, there: Samples) -> None:
         raise RecordingError(
             f"{there.place}: does not move as {here.name} does (speeds correlate by {corr.speed.max():.2f}, yaw rates "
             f"by {corr.turn.max():.2f}, at the best shift of up to {reach_s:.0f} s): it is of another drive or of "
-            "another robot, its clock is farther off, or one of them is computed wrongly (steering angles in "
-            "degrees); name the truth of this run"
+            "another robot, less accurate than the motion (GPS without corrections), its clock is farther off, or one "
+            "of them is computed wrongly (steering angles in degrees); name the truth of this run"
         )

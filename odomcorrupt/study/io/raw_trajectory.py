@@ -148,6 +148,7 @@ _BACK_NS = 1_000_000_000  # smallest step back that begins another run
 _FORWARD_NS = 3_600_000_000_000
 _NEIGHBOURS = 5
 READ_AS = "stamps read as"
+NO_STAMPS = "no stamps in the messages, log times taken"
 REPEATED = "have the stamp of the one before, while it moves: log times are taken"
 FAR_M = 1e9
 """Larger positions (metres) and headings (radians) count as invalid."""
@@ -168,7 +169,7 @@ def order_of(stamps_ns: NDArray[np.int64], log_ns: NDArray[np.int64]) -> Order:
     if len(log_ns):
         if not stamps_ns.any():
             stamps_ns = log_ns
-            notes.append("no stamps in the messages, log times taken")
+            notes.append(NO_STAMPS)
         elif not stamps_ns.all():
             rows = np.flatnonzero(stamps_ns)
             notes.append(f"{len(stamps_ns) - len(rows)} poses without a stamp left out")

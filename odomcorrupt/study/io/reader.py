@@ -22,7 +22,6 @@ from odomcorrupt.study.io.laser_truth import NO_SCAN, alerts_of, beside_sweeps, 
 from odomcorrupt.study.io.localisation import (
     MAP_SCALE_ACCURACY,
     corrections_alone,
-    has_own_scale,
     is_in_map,
     is_localised,
     is_of_base,
@@ -36,7 +35,7 @@ from odomcorrupt.study.io.segments import independent_parts, without_frozen, wit
 from odomcorrupt.study.io.stamps import between_steps, even_stamps, jitter_warnings, stamp_jitter_s
 from odomcorrupt.study.io.text import is_text, read_text
 from odomcorrupt.study.io.topic_selection import FLAGS, has_truth
-from odomcorrupt.study.io.warnings import check_identity, dead_band_warnings, filter_warnings, without_course
+from odomcorrupt.study.io.warnings import check_identity, filter_warnings, without_course
 from odomcorrupt.study.io.wheel_ticks import odometry_of_wheels, read_wheels, wheels_of
 from odomcorrupt.study.io.yaw_dead_band import yaw_dead_band
 
@@ -352,10 +351,8 @@ def recordings_of(
     feedback = feedback_of(odometry, calm, real)
     # The reader of laser scans has checked their stamps already.
     jitter_s = stamp_jitter_s(calm, real), stamp_jitter_s(real, calm) if truth.covariance is None else 0.0
-    said += filter_warnings(calm, real, feedback)
-    cut = "whole steps" in (mistake.name for mistake in found.mistakes)
-    dead_band_radps = 0.0 if cut else yaw_dead_band(calm, real)
-    said += dead_band_warnings(calm, dead_band_radps)
+    said += filter_warnings(calm, feedback)
+    dead_band_radps = 0.0 if "whole steps" in (one.name for one in found.mistakes) else yaw_dead_band(calm, real)
     said += jitter_warnings(calm, jitter_s[0]) + jitter_warnings(real, jitter_s[1])
     odometry = feedback.free
     truth = without_gaps(odometry, without_frozen(odometry, truth))
@@ -372,7 +369,6 @@ def recordings_of(
                 stamp_error_s=rounded_s / math.sqrt(12.0),
                 stamp_jitter_s=max(jitter_s),
                 localised=is_localised(truth),
-                own_scale=has_own_scale(truth),
                 in_map=is_in_map(truth),
                 of_base=is_of_base(truth, odometry),
                 pulled_per_s=feedback.left_per_s,

@@ -80,7 +80,6 @@ class Recording:
         of other runs have no meaning; "" if runs share it
     localised : whether the truth is a localisation's (AMCL, SLAM), whose errors are correlated along the path
     in_map : whether SLAM or a localisation made the truth, also if it has poses at all times
-    own_scale : whether an estimator without a known scale made the truth, such as visual SLAM, whose scale may vary
     of_base : whether the truth is a localisation of the odometry's own frame (map -> odom -> base_link), and so has
         neither lever arm nor mounting yaw
     truth_correlation_m : travel over which the truth's errors decorrelate to 1/e; 0 if independent; None if not
@@ -116,7 +115,6 @@ class Recording:
     stamp_jitter_s: float = 0.0
     localised: bool = False
     in_map: bool = False
-    own_scale: bool = False
     of_base: bool = False
     truth_correlation_m: float | None = None
     pose_steps: tuple[PoseStep, ...] = ()

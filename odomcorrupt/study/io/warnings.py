@@ -24,7 +24,6 @@ _SAME_M = 2e-3  # m and rad; paths that differ by less are the same
 _MOVES = 1e-4
 _MIN_STEPS = 10
 _SHRINKS = 0.7  # ratio of successive variances
-_MIN_CORRECTIONS = 5
 _MOSTLY, _NEARLY_ALL = 0.6, 0.9
 """Fractions of motions back and ahead along the heading that identify courses; an unrelated drive has one half."""
 
@@ -150,7 +149,7 @@ def without_course(odometry: Samples, truth: Samples) -> Samples:
     )
 
 
-def filter_warnings(odometry: Samples, truth: Samples, feedback: Feedback) -> list[str]:
+def filter_warnings(odometry: Samples, feedback: Feedback) -> list[str]:
     """Return a warning if the odometry appears to be corrected by other sensors, as no motion model describes."""
     signs = []
     last = odometry.frame.rsplit("/", 1)[-1]
@@ -160,9 +159,6 @@ def filter_warnings(odometry: Samples, truth: Samples, feedback: Feedback) -> li
         signs.append("its name")
     if len(own := odometry.variance_m2) >= _MIN_STEPS and (shrinks := int(np.sum(own[1:] < _SHRINKS * own[:-1]))):
         signs.append(f"its covariance shrinks {shrinks} times")
-    jumps = _jumps_to_truth(odometry, truth)
-    if jumps:
-        signs.append(f"it jumps towards the truth {jumps} times")
     if feedback.per_s:
         faded = f"fade by {1.0 - np.exp(-feedback.per_s):.0%} a second, as"
         if feedback.of_headings:
@@ -179,47 +175,9 @@ def filter_warnings(odometry: Samples, truth: Samples, feedback: Feedback) -> li
             f"{feedback.corrections} sudden steps towards such poses were removed, as `correct` does with the model; "
             "the learned model is that of the odometry between them, including lags of its filter"
         )
-    elif jumps or feedback.per_s:
+    elif feedback.per_s:
         what += (
             ": of scales, biases and noise only the part that persists after a correction can be estimated (clocks and "
             "lags are unaffected); record wheel-only odometry for the rest"
         )
     return [f"{odometry.name}: looks like a filter's output, not like wheel odometry ({', '.join(signs)}); {what}"]
-
-
-def dead_band_warnings(odometry: Samples, threshold_radps: float) -> list[str]:
-    """Return a warning if the odometry's yaw rate reads zero below a threshold, rad/s, while the truth turns."""
-    if not threshold_radps:
-        return []
-    what = (
-        "a dead band of the gyro or of its driver. The lost turns resemble other errors of the heading, whose "
-        "confidence is limited; switch it off, or apply it at rest only"
-    )
-    band = f"yaw rates below {threshold_radps:.2g} rad/s read exactly zero although the robot turns"
-    return [f"{odometry.name}: {band}: {what}"]
-
-
-def _jumps_to_truth(odometry: Samples, truth: Samples) -> int:
-    """Return the number of sudden steps of the odometry if more than 80 % of them reduce its error; otherwise 0."""
-    t_s = odometry.t_s
-    own = truth.seconds_since(int(odometry.stamps_ns[0]))
-    inside = (t_s >= own[0]) & (t_s <= own[-1])
-    t_s, xy = t_s[inside], odometry.xyz[inside, :2]
-    if len(t_s) < _MIN_STEPS:
-        return 0
-    real = np.stack([np.interp(t_s, own, truth.xyz[:, i]) for i in (0, 1)], axis=1)
-    # Align the odometry with the truth.
-    p, q = (x[:, 0] + 1j * x[:, 1] for x in (xy, real))
-    p, q = p - p.mean(), q - q.mean()
-    turn = np.exp(1j * np.angle(np.vdot(p, q)))
-    error = np.abs(p * turn - q)
-    velocity = np.diff(p) / np.diff(t_s)
-    sudden = np.abs(velocity[1:-1] - (velocity[:-2] + velocity[2:]) / 2.0) * np.diff(t_s)[1:-1]
-    size = max(0.02, 20.0 * float(np.median(sudden)))
-    # A jump also appears in the adjacent steps, half as large.
-    beside = np.maximum(np.concatenate(([0.0], sudden[:-1])), np.concatenate((sudden[1:], [0.0])))
-    at = np.flatnonzero((sudden > size) & (sudden > beside)) + 1
-    if len(at) < _MIN_CORRECTIONS:
-        return 0
-    closer = error[at + 1] < error[at]
-    return len(at) if closer.mean() > 0.8 else 0

@@ -164,6 +164,36 @@ def test_turns_by_more_than_half_a_turn_show_whether_they_are_degrees(times, fir
         first_look(Look((trajectory(driven(6) * [1.0, 1.0, times], every=4), real(driven(6)))))
 
 
+def late(path, grown):
+    kept = path.only(np.arange(round(len(path) / grown)))
+    return kept.stamped(path.stamps_ns[0] + np.round((kept.stamps_ns - path.stamps_ns[0]) * grown).astype(np.int64))
+
+
+def in_bursts(path, few=20):
+    return path.stamped(path.stamps_ns[few * (np.arange(len(path)) // few)] + 400_000 * (np.arange(len(path)) % few))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "name"),
+    [
+        (lambda rows: late(trajectory(rows), 1.1), "clock rate"), (lambda rows: in_bursts(trajectory(rows)), "bursts"),
+        (lambda rows: replace(path := trajectory(rows), xyz=path.xyz + 4.0 * (path.t_s > 60.0)[:, None]), "resets"),
+        (lambda rows: trajectory(rows * np.where(np.abs(rows) < 0.008, [1.0, 1.0, 0.0], 1.0)), "slow turns"),
+        (lambda rows: trajectory(rims(rows, np.positive, lambda u: u * (np.arange(len(u)) % 1500 > 400))), "one head"),
+        (lambda rows: trajectory(rows + (np.arange(len(rows)) % 1999 == 1998)[:, None] * [0, 0, np.pi]), "flips"),
+        (lambda rows: replace(p := trajectory(rows), xyz=np.round(p.xyz / [0.05, 0.01, 1]) * [0.05, 0.01, 1]), "whole"),
+    ],
+)  # fmt: skip
+def test_stamps_resets_and_parts_that_are_lost_are_named_and_left_out(wrong, name):
+    assert first_look(Look((wrong(driven(6, 240.0)), real(driven(6, 240.0))))).mistakes[0].name.startswith(name)
+
+
+def test_play_in_the_gears_is_no_overflow():
+    rows = driven(6, 240.0) * [1, 1, 0]
+    turned = np.diff(np.sign(rows[:, 0]), prepend=1.0) != 0.0
+    look_at(trajectory(rows + 0.015 * turned[:, None] * np.sign(rows) * [1, 0, 0]), real(rows))
+
+
 def test_a_tracked_point_beside_the_centre_does_not_drive_in_reverse():
     rows = driven(8, reverse=False)
     seen = trajectory(rows + 0.05 * rows[:, [2, 0, 1]] * [1.0, 0.0, 0.0], "/truth", every=2, noise=1e-3)

@@ -126,18 +126,18 @@ def test_poses_in_the_map_are_a_localisations_by_their_errors(read, name, frame,
 
 
 @pytest.mark.parametrize(
-    ("name", "kind", "frame", "own_scale", "in_map"),
+    ("name", "kind", "frame", "in_map"),
     [
-        ("/vslam/odometry", "Odometry", "world", True, True),
-        ("/vicon/robot", "Odometry", "map", False, False),
-        ("/ground_truth", "Odometry", "map", False, False),
-        ("/robot/pose", "PoseStamped", "map", False, True),
-        ("/robot/pose", "PoseStamped", "world", False, False),
+        ("/vslam/odometry", "Odometry", "world", True),
+        ("/vicon/robot", "Odometry", "map", False),
+        ("/ground_truth", "Odometry", "map", False),
+        ("/robot/pose", "PoseStamped", "map", True),
+        ("/robot/pose", "PoseStamped", "world", False),
     ],
 )
-def test_an_estimators_odometry_as_truth_may_have_a_scale_of_its_own(read, name, kind, frame, own_scale, in_map):
+def test_a_truth_is_in_a_map_by_its_name_or_frame(read, name, kind, frame, in_map):
     (run,) = read(truth=name, kind=kind, seen={"frame": frame}, asked={"truth": name, "odom": "/odom"})
-    assert (run.own_scale, run.in_map) == (own_scale, in_map)
+    assert run.in_map == in_map
 
 
 def test_poses_of_a_localisation_at_a_high_rate_are_taken_after_motion(read):
