@@ -15,7 +15,7 @@ from odomcorrupt.cli import run
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.report import findings as texts
-from odomcorrupt.report.brief import _contact_words, _found_lines, _mounting_words, findings_brief
+from odomcorrupt.report.brief import _found_lines, _mounting_words, findings_brief
 from odomcorrupt.report.comparison import comparison_text, rejection, within
 from odomcorrupt.report.findings import dependences_found, effects_found, foremost, is_unexplained
 from odomcorrupt.report.html import found_html
@@ -123,17 +123,6 @@ def test_the_text_tells_effects_noise_unknowns_and_what_is_open(rich):
     assert "the yaw error per radian turned depends on yaw rate" in text
 
 
-@pytest.mark.parametrize(("track_m", "contact", "asked"), [(None, "body", 1), (0.3, "body", 0), (None, "wheels", 0)])
-def test_a_patch_asks_for_a_track_without_which_single_wheels_were_not_tried_on_it(searched, track_m, contact, asked):
-    patch = replace(effect_from_values("region_slip", {"slip": 0.1}), contact=contact)
-    problem = searched.fit.problem
-    runs = tuple(replace(run, track_m=track_m) for run in problem.recordings)
-    fit = replace(searched.fit, problem=replace(problem, recordings=runs))
-    differential = replace(searched.drive_type, name="differential")
-    search = SimpleNamespace(fit=fit, drive_type=differential)
-    assert _contact_words(patch, search).count("--track") == asked
-
-
 def test_the_headline_says_which_dependences_are_not_in_the_model(rich):
     over_time = unknown("yaw", "time", per="s")
     lines, _ = _found_lines(replace(rich, unknown=(UNKNOWNS[0], over_time)), rich.fit, set())
@@ -145,7 +134,7 @@ def test_the_headline_says_which_dependences_are_not_in_the_model(rich):
 def test_a_dependence_of_the_model_is_reported_as_such_though_another_part_was_dropped(rich, sequence):
     """What is dropped changes what others may replace, and a changed copy of a dependence was taken for another one."""
     law, name = UNKNOWNS[-1], "along_over_acceleration"
-    fit = rich.fit.refit((*rich.fit.effects, user_effect(name, "along += v * (k * cos(acceleration))", {"k": 0.01})))
+    fit = rich.fit.refit((*rich.fit.effects, user_effect(name, "along += v * (k * cos(a))", {"k": 0.01})))
     rivals = [replace(one, instead_of=("unequal_wheels",)) for one in (UNKNOWNS[0], law)]
     both = replace(rich, fit=fit, unknown=(law, *rivals), laws=(law,), noise=())
     kept = without_parts(both, {"unequal_wheels": "the error grows with it"})

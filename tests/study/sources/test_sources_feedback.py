@@ -171,7 +171,7 @@ def test_a_dead_band_is_recognised_with_its_threshold():
     assert yaw_dead_band(*banded_run(banded)) == pytest.approx(BAND, rel=0.02)
     (recording,) = recordings_of("run", *banded_run(banded))
     assert recording.yaw_dead_band_radps == pytest.approx(BAND, rel=0.02)
-    assert any("reports no turns slower than 0.859 deg/s" in note for note in recording.notes)
+    assert any("reports no turns slower than 0.86 deg/s" in note for note in recording.notes)
 
 
 def test_a_dead_band_is_recognised_where_jitter_interrupts_the_zeros():
