@@ -77,6 +77,7 @@ RULES = {
     "study.select.dictionary:_patch_of": "[]",
     "study.select.random_effects:_in_both_halves": "True",
     "study.select.selection:_Selection._compare_with_process": "None",
+    "study.select.selection:_Selection._contradicts_physics": "False",
     "study.select.selection:_Selection._drop_misfits": "None",
 }
 """Rules of single kinds of drives, each `module:function` with the expression that it returns if it is switched off."""

@@ -442,7 +442,7 @@ def groups_words(one: ParameterDifference) -> str:
     """Return by how much a parameter is larger in which recordings, and what it varies with; "" if this is unclear."""
     more, low, high = one.groups or (0.0, [], [])
     said = [f"{value_text(more, None, one.unit)} larger in {', '.join(high)} than in {', '.join(low)}"] * bool(high)
-    return "; ".join(said + [f"it varies with the {one.varies_with}"] * bool(one.varies_with))
+    return "".join(said)
 
 
 def contradiction(one: Candidate) -> str:
@@ -652,7 +652,7 @@ def learned_json(
             for one in single_events(learned.fit)
         ],
         "disagreements": [
-            picked(one, "effect", "parameter", "unit", "p", "varies_with")
+            picked(one, "effect", "parameter", "unit", "p")
             | {"groups": one.groups and dict(zip(("difference", "smaller", "larger"), one.groups, strict=True))}
             | {
                 "recordings": [

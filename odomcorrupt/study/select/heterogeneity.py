@@ -21,9 +21,6 @@ from odomcorrupt.study.io.clock import clock_leaders
 from odomcorrupt.study.select.score import project_out
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
 
 _CHANGING = ("wheel_scale", "unequal_wheels", "wheelbase", "gyro_bias")
@@ -42,7 +39,6 @@ class ParameterDifference:
     recordings : names of the R recordings that determine the parameter
     values, standard_errors : (R,) estimates from each of them
     p : probability of such a difference for an unchanged robot
-    varies_with : property of the recordings that the values vary with, "" if with none
     """
 
     effect: str
@@ -52,7 +48,6 @@ class ParameterDifference:
     values: tuple[float, ...]
     standard_errors: tuple[float, ...]
     p: float
-    varies_with: str = ""
 
     @property
     def groups(self) -> tuple[float, list[str], list[str]] | None:
@@ -114,21 +109,6 @@ def disagreements(fit: Fit, level: float) -> tuple[ParameterDifference, ...]:
                 values=tuple(values.tolist()),
                 standard_errors=tuple(errors.tolist()),
                 p=chance,
-                varies_with=_varies_with(fit, np.array(runs)[valid].tolist(), values),
             )
             found.append((square, one))
     return tuple(one for _, one in sorted(found, key=lambda pair: -pair[0]))
-
-
-def _varies_with(fit: Fit, runs: Sequence[int], values: Array) -> str:
-    """Return whether a parameter (R,) varies with the speed or the turns of the recordings, "" if with neither."""
-    motions, leaders = fit.problem.motions, np.array(clock_leaders(fit.problem.recordings))
-    rates = np.concatenate([np.column_stack((m.dt_s, m.v, m.omega)) for m in motions])
-    own = [rates[np.repeat(leaders, [len(m) for m in motions]) == leader] for leader in runs]
-    sums = np.array([(np.abs(v) @ dt, np.abs(w) @ dt, (v != 0.0) @ dt) for dt, v, w in (x.T for x in own)])
-    travel, turn, moving_s = np.maximum(sums, 1e-9).T
-    properties = {"mean speed": travel / moving_s, "turns per metre": turn / travel}
-    # a property that is the same in all of them explains nothing
-    related = [(abs(float(np.corrcoef(values, x)[0, 1])), name) for name, x in properties.items() if np.ptp(x) > 0.0]
-    most, name = max(related, default=(0.0, ""))
-    return name if len(runs) >= _FEWEST and most > 0.9 else ""

@@ -150,6 +150,9 @@ class _Selection:
     def run(self) -> None:
         """Select terms and random processes in turn until neither changes."""
         self._select()
+        if self._contradicts_physics():
+            self.fit, self.terms = self.fit.refit([e for e in self.fit.effects if e.name in self.given]), {}
+            return
         self._compare_with_process()
         while self._include_process():
             self._select()
@@ -165,6 +168,15 @@ class _Selection:
         if bursts or effects != list(self.fit.effects):
             # the error of bursts is an effect, and not noise of every step
             self.fit = self.fit.refit((*effects, *bursts))
+
+    def _contradicts_physics(self) -> bool:
+        """Return whether one effect gains more than the whole model, but only with a sign that physics forbids."""
+        low, high = (np.where(b, b, far) for b, far in ((self.evidence.low, -np.inf), (self.evidence.high, np.inf)))
+        others = [j for j, t in enumerate(self.competing) if j not in self.chosen and isinstance(t, LibraryTerm)]
+        one = [self.chosen, *((j,) for j in others if self.competing[j].name not in self.decisions.commanded)]
+        score = replace(self.evidence, low=low, high=high).gains(one).score
+        forbidden = ~np.isfinite(self.evidence.gains(one).score)
+        return bool(np.isfinite(score[0]) and np.any(score[forbidden] > score[0] + self.decisions.replacement_nats))
 
     def _select(self) -> None:
         """Take rounds until the best set of terms is that of the model."""
