@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import odomcorrupt as oc
+from benchmarks.laboratory.cases import same_class
 from benchmarks.plain_mistakes import ORIGIN_S, Robot, drive
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import parameters
@@ -83,12 +84,6 @@ def usual(name: str, times: float) -> Effect:
     return effect_from_values(name, sizes)
 
 
-def class_of(name: str) -> str:
-    """Return the common name of all effects with exactly the same f."""
-    kind = registry().get(name)
-    return (kind.aliased_with if kind is not None else None) or name
-
-
 def learned(odometry: np.ndarray, truth: np.ndarray, effect: Effect | None, seed: int, kind: str) -> oc.Learned:
     """Return what is learned of odometry (n, 4) that is corrupted with an effect, and a truth (n, 4)."""
     model = oc.Model(NOISE, effects=[effect] if effect else [], track_m=0.3)
@@ -108,7 +103,7 @@ def learned(odometry: np.ndarray, truth: np.ndarray, effect: Effect | None, seed
 def verdict(found: oc.Learned, name: str) -> tuple[str, list[str]]:
     """Return the class of an answer, and its sure systematic names."""
     sure = [one["effect"] for one in found.found if (one["confidence"] or 0.0) >= SURE and one["kind"] != "setup"]
-    wrong = [one for one in sure if class_of(one) != class_of(name)]
+    wrong = [one for one in sure if same_class(one) != same_class(name)]
     if not sure:
         return "cannot tell" if name else "right", sure
     if len(wrong) == len(sure):

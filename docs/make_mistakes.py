@@ -42,7 +42,7 @@ wrong:
 |---|---|---|
 """
 FIGURES = {
-    "who": "/odom", "other": "/truth", "count": 100, "size": "0.944 m", "width": "often 16 bits", "speed": 310,
+    "who": "/odom", "other": "/truth", "count": 100, "size": "0.944 m", "speed": 310,
     "factor": 0.0175, "plane": "x-z", "up": "y", "what": "never change", "off": 12.0,
     "side": "left", "best": 0.9, "near": 0.1, "shift": 12.0, "corr": -1,
     "fault": "whether the odometry or the truth is wrong, these data do not show", "share": "6%",
@@ -65,6 +65,8 @@ OWN = {
         "then": "its headings are multiplied, or its path is made again of its steps and headings",
     },
     "in reverse": {"v": 1, "w": -1},
+    "overflow": {"cause": "a counter overflows: often 16 bits; or, once a second, a time step is taken from the "
+                          "nanoseconds alone"},
     "bursts": {"few": 18, "apart": 0.6}, "resets": {"where": "4.99 m at 77 s"}, "slow turns": {"rate": 26},
     "flips": {"how": "while its path goes on"},
     "limit": {"top": 0.45, "share": "76%", "far": 2},

@@ -439,10 +439,9 @@ def _disagreement_line(one: ParameterDifference, learned: Learned) -> str:
 
 
 def groups_words(one: ParameterDifference) -> str:
-    """Return by how much a parameter is larger in which recordings, and what it varies with; "" if this is unclear."""
+    """Return by how much a parameter is larger in one group of recordings than in the other; "" without groups."""
     more, low, high = one.groups or (0.0, [], [])
-    said = [f"{value_text(more, None, one.unit)} larger in {', '.join(high)} than in {', '.join(low)}"] * bool(high)
-    return "".join(said)
+    return f"{value_text(more, None, one.unit)} larger in {', '.join(high)} than in {', '.join(low)}" if high else ""
 
 
 def contradiction(one: Candidate) -> str:

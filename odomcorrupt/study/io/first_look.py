@@ -221,14 +221,11 @@ def _courses(path: Samples, factor: float, beside: Array | float = 0.0) -> tuple
     every = min(int(15.0 * _noise(path.xyz[:, :2]) / max(usual, 1e-9)), len(path) // 20) if far else 1
     rows = np.arange(0, len(path), max(every, 1))
     aside = beside[rows[:-1]] if isinstance(beside, np.ndarray) else 0.0
-    step, signs = (
-        np.diff(place[rows]),
-        (1.0, -1.0)[: 1 + (factor == -1.0 and far)],
-    )  # a mirrored path goes the other way
-    moves = moving(np.abs(step))
+    angle, moves = np.angle(step := np.diff(place[rows])), moving(np.abs(step))
+    # the steps of a mirrored path are on the other side of its headings
+    sides = [aside, -aside] if factor == -1.0 and far else [aside]
     fits = [
-        max(_concentration(2.0 * (np.angle(step) - sign * aside - yaw[rows[:-1]] - part * np.diff(yaw[rows]))[moves])
-            for sign in signs)
+        max(_concentration(2.0 * (angle - side - yaw[rows[:-1]] - part * np.diff(yaw[rows]))[moves]) for side in sides)
         for yaw in yaws for part in parts
     ]  # fmt: skip
     best = int(np.argmax(fits))
@@ -486,6 +483,7 @@ class FirstLook(NamedTuple):
     """Odometry and truth with all mistakes undone, and the mistakes.
 
     gains : ratios of truth to odometry in travel and turns by which the odometry is multiplied, 1 if about right
+    dead_band_radps : yaw rate below which the odometry reads zero, 0 if there is none
     ratios : what is left of them, in words
     """
 
@@ -493,6 +491,7 @@ class FirstLook(NamedTuple):
     truth: Samples
     mistakes: tuple[Mistake, ...] = ()
     gains: tuple[float, float] = (1.0, 1.0)
+    dead_band_radps: float = 0.0
     ratios: str = ""
 
 
@@ -505,7 +504,7 @@ def first_look(look: Look) -> FirstLook:
         If nothing can be learned from them as they are; the message says why.
     """
     found: list[Mistake] = []
-    gains = (1.0, 1.0)
+    gains, band_radps = (1.0, 1.0), 0.0
     if look.paths[1].headed and look.own[1].turned < 1e-6 and (look.own[0].turned > 0.5 or not look.own[1].straight):
         said = "its headings never change: its positions alone are used"
         look = look.having(1, look.paths[1].without_headings().noted(said))
@@ -521,13 +520,13 @@ def first_look(look: Look) -> FirstLook:
             if (undo := figures.get("undo")) is None:
                 found[-1] = found[-1]._replace(then="")
                 raise RecordingError(". ".join(one.sentence for one in found))
-            gains = figures.get("gains", gains)
+            gains, band_radps = figures.get("gains", gains), figures.get("dead_band_radps", band_radps)
             look = look.having(i := figures.get("i", 0), undo(look.paths[i]))
     sure = [(what, r) for what, r in zip(("travels", "turns"), look.scales, strict=True) if r.sure]
     times = ["" if abs(r.value - 1.0) < r.spread else f"{r.value:.3g} times " for _, r in sure]
     parts = [f"{what} {by}as far (+-{r.spread:.1%})" for (what, r), by in zip(sure, times, strict=True)]
     words = f"in {look.window_s:.2g} s the truth {' and '.join(parts)} as the odometry" if parts else ""
-    return FirstLook(*look.paths, tuple(found), gains, words)
+    return FirstLook(*look.paths, tuple(found), gains, band_radps, words)
 
 
 def mistakes_alone(path: Samples) -> list[Mistake]:
@@ -605,6 +604,7 @@ def _steps_and_headings(look: Look, i: int) -> Figures | None:
         return None
     yaw = path.yaw_rad if np.ptp(path.yaw_rad) > 2.0 * np.pi + 0.01 else np.unwrap(path.yaw_rad)
     step = np.diff(path.xyz[:, :2] @ [1.0, 1j]) * np.exp(-1j * _courses(path, k, beside)[0])
+    # a path that is mirrored, not rotated by -yaw, has its steps on the other side
     aside = [_concentration(2.0 * (np.angle(x) - np.asarray(beside))) for x in (step, np.conj(step))]
     step = np.conj(step) if k == -1.0 and aside[1] > aside[0] and isinstance(beside, np.ndarray) else step
     # how far the path is turned from these headings, but for half a turn
@@ -692,10 +692,9 @@ def _unrelated(look: Look, i: int) -> Figures | None:
 def _never_turns(look: Look) -> Figures | None:
     """Find odometry that does not turn; what it does where the truth turns on the spot shows why."""
     own, real, _ = look.sizes[1]
-    still = look.own[0].straight or (
-        own < 0.1 * real and look.correlations[2, 2] < _UNCLEAR and look.own[0].turned < 1.0
-    )
-    if not still or real <= _FEW_TURNS:
+    corr, drives = look.correlations[2, 2], look.own[0].turned < 1.0 and look.scales[0].sure
+    still = own < 0.1 * real and corr < _UNCLEAR and (drives or corr > -_UNCLEAR)
+    if real <= _FEW_TURNS or not (look.own[0].straight or still):
         return None
     here, there = look.windows[0][:, 0], np.abs(look.windows[1])
     spot = moving(there[:, 2]) & (there[:, 0] < _MOVING * np.percentile(there[:, 0], 80.0))
@@ -1024,9 +1023,10 @@ def _counter(count: int, wheel_m: float, turn: float, increments_m: Array, rows:
     bits = round(power := float(np.log2(max(wheel_m / tick, 1.0))))
     known = bits > 7 and abs(power - bits) < 0.02
     width = f"2^{bits} ticks of {tick * 1e3:.3g} mm: a counter of {bits} bits" if known else "often 16 bits"
+    cause = f"a counter overflows: {width}"
     if (every_s := np.diff(at_s)).min() > 0.5 and np.mean(np.abs(every_s - np.rint(every_s)) < 0.1) > 0.9:
-        width = "once a second: rather a time step of the nanoseconds alone"
-    return {"count": count, "size": size, "width": width, "undo": lambda path: _moved_by(path, rows)}
+        cause = "once a second: a time step is taken from the nanoseconds alone"
+    return {"count": count, "size": size, "cause": cause, "undo": lambda path: _moved_by(path, rows)}
 
 
 def _one_way(look: Look, axis: int) -> Figures | None:
@@ -1162,10 +1162,8 @@ def _resets(look: Look, i: int) -> Figures | None:
     path = look.paths[0]
     rows = stretches(path, reach_of(path, path)).rows if i == 0 and len(path) >= FEWEST else ()
     far = {int(own[0]): float(np.linalg.norm(path.xyz[own[0]] - path.xyz[own[0] - 1])) for own in rows[1:]}
-    if not 0 < len(far) <= _FEWEST or min(far.values()) < 3.0 * _ARM_M:
-        return None
-    jumps = ", ".join(f"{metres:.2f} m at {path.t_s[k]:.0f} s" for k, metres in far.items())
-    return {"where": jumps, "undo": lambda path: path}
+    jumps = [f"{metres:.2f} m at {path.t_s[k]:.0f} s" for k, metres in far.items() if metres > 3.0 * _ARM_M]
+    return {"where": ", ".join(jumps), "undo": lambda path: path} if 0 < len(jumps) <= _FEWEST else None
 
 
 def _repeated(look: Look) -> Figures | None:
@@ -1389,7 +1387,7 @@ PATTERNS = (
             "the fixed frame in the moving one is published (base -> odom, map in camera)",
             "invert the transform before publishing", "its poses are inverted", _inverse, alone=True),
     Pattern("overflow", "{who}: {count} jumps of the same size, {size} of one wheel",
-            "a counter overflows: {width}", "subtract counts as signed integers of the counter's width",
+            "{cause}", "subtract counts as signed integers of the counter's width, and stamps as whole numbers",
             "the jumps are taken out", _overflows, alone=True),
     Pattern("publishers", "{who}: {share} of its poses jump by {far} m and back within {few} messages",
             "several robots or publishers on one topic", "give each its own topic", "", _publishers, alone=True),
@@ -1445,8 +1443,8 @@ PATTERNS = (
     Pattern("slow turns", "{who} reports no turns slower than {rate} deg/s, {other} turns then, too",
             "a dead band against the noise of a gyro or of increments; speeds cut to whole steps",
             "leave it out, or apply it at rest alone", "it is part of the model",
-            lambda look: {"rate": float(np.degrees(rate)), "undo": lambda path: path}
-            if (rate := yaw_dead_band(*look.paths)) else None),
+            lambda look: {"rate": float(np.degrees(band)), "dead_band_radps": band, "undo": lambda path: path}
+            if (band := yaw_dead_band(*look.paths)) else None),
     Pattern("limit", "{who} goes {top} m/s at most, in {share} of its time; the truth travels {far} times as far "
             "then, and agrees at lower speeds", "ticks lost above a speed; a counter or a message that saturates",
             "count by hardware, or with fewer ticks; a wider type; " + _RECORD, "", _limit),

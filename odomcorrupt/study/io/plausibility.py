@@ -203,10 +203,9 @@ def _check_motion(here: Samples, there: Samples) -> None:
             f"{here.span_s:.0f} s; record a drive with turns both ways"
         )
     if extents[0] > _MOVES_M and extents[1] < _STILL_M and extents[1] * _FACTOR < extents[0]:
-        raise RecordingError(
-            f"{there.place}: stands still while the odometry moves over {extents[0]:.1f} m; name the truth of this "
-            "robot, in metres (not degrees of latitude and longitude)"
-        )
+        degrees = 0.3 < extents[1] * 111e3 / extents[0] < 3.0  # metres of a degree of latitude
+        way_out = "give metres, not degrees of latitude and longitude" if degrees else "name the truth of this robot"
+        raise RecordingError(f"{there.place}: stands still while the odometry moves over {extents[0]:.1f} m; {way_out}")
 
 
 def _span(path: Samples) -> str:

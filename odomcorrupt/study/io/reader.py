@@ -37,7 +37,6 @@ from odomcorrupt.study.io.text import is_text, read_text
 from odomcorrupt.study.io.topic_selection import FLAGS, has_truth
 from odomcorrupt.study.io.warnings import check_identity, filter_warnings, without_course
 from odomcorrupt.study.io.wheel_ticks import odometry_of_wheels, read_wheels, wheels_of
-from odomcorrupt.study.io.yaw_dead_band import yaw_dead_band
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -352,7 +351,6 @@ def recordings_of(
     # The reader of laser scans has checked their stamps already.
     jitter_s = stamp_jitter_s(calm, real), stamp_jitter_s(real, calm) if truth.covariance is None else 0.0
     said += filter_warnings(calm, feedback)
-    dead_band_radps = 0.0 if "whole steps" in (one.name for one in found.mistakes) else yaw_dead_band(calm, real)
     said += jitter_warnings(calm, jitter_s[0]) + jitter_warnings(real, jitter_s[1])
     odometry = feedback.free
     truth = without_gaps(odometry, without_frozen(odometry, truth))
@@ -373,7 +371,7 @@ def recordings_of(
                 of_base=is_of_base(truth, odometry),
                 pulled_per_s=feedback.left_per_s,
                 pose_corrections=feedback.corrections,
-                yaw_dead_band_radps=dead_band_radps,
+                yaw_dead_band_radps=found.dead_band_radps,
                 odometry_topic=odometry.name if odometry.name.startswith("/") else "",
                 sketch=sketch_of(
                     recorded.only(
