@@ -221,8 +221,12 @@ class BagReader(Protocol):
 class ReaderView:
     """A reader with blocks of its own; otherwise equal to the given one."""
 
-    def __init__(self, reader: BagReader) -> None:
-        self._reader = reader
+    def __init__(self, reader: BagReader, blocks: Callable[[Container[int] | None], Iterator[Block]]) -> None:
+        self._reader, self._blocks = reader, blocks
+
+    def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
+        """Yield its own blocks."""
+        return self._blocks(only)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._reader, name)

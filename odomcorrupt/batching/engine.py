@@ -92,17 +92,14 @@ class MarkMeter:
             return
         while len(self.marks) < len(MARKS_M) and samples.travelled_m[-1] >= MARKS_M[len(self.marks)]:
             mark_m = MARKS_M[len(self.marks)]
-            self.marks.append((mark_m, *_error(samples, int(np.searchsorted(samples.travelled_m, mark_m)))))
-        self._last = (float(samples.travelled_m[-1]), *_error(samples, len(samples) - 1))
+            x, y, turn = samples.error_xyt[np.searchsorted(samples.travelled_m, mark_m)].tolist()
+            self.marks.append((mark_m, x, y, turn))
+        x, y, turn = samples.error_xyt[-1].tolist()
+        self._last = (float(samples.travelled_m[-1]), x, y, turn)
 
     def result(self) -> list[tuple[float, float, float, float]]:
         """Return the errors at the marks, the last of them at the end."""
         return [*self.marks, *([self._last] if self._last is not None else [])]
-
-
-def _error(samples: PathSamples, i: int) -> tuple[float, float, float]:
-    x, y, turn = samples.error_xyt[i].tolist()
-    return x, y, turn
 
 
 class RunState(Run):
@@ -150,25 +147,22 @@ ProgressCallback: TypeAlias = "Callable[[float | None, float], None]"
 """Takes the part of the bag's bytes read, 0 to 1 or None where unknown, and the seconds of recorded time."""
 
 
-class Watched(ReaderView):
-    """A reader that reports progress."""
+def watched(reader: BagReader, beat: ProgressCallback) -> ReaderView:
+    """Return a reader that reports progress."""
 
-    def __init__(self, reader: BagReader, beat: ProgressCallback) -> None:
-        super().__init__(reader)
-        self._beat = beat
-
-    def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
-        """Yield the reader's blocks."""
+    def blocks(only: Container[int] | None) -> Iterator[Block]:
         next_s = time.monotonic() + PAUSE_S
         first_ns: int | None = None
-        for block in self._reader.blocks(only):
+        for block in reader.blocks(only):
             yield block
             if len(block.table):
                 first_ns = int(block.table["log_ns"][0]) if first_ns is None else first_ns
             if first_ns is not None and len(block.table) and time.monotonic() >= next_s:
                 next_s = time.monotonic() + PAUSE_S
                 past_s = (int(block.table["log_ns"][-1]) - first_ns) * 1e-9
-                self._beat(getattr(self._reader, "part_read", None), past_s)
+                beat(getattr(reader, "part_read", None), past_s)
+
+    return ReaderView(reader, blocks)
 
 
 CLEAN = "clean.tum"
@@ -190,7 +184,7 @@ def attempt(task: Task, beat: ProgressCallback | None = None) -> list[Failure]:
         if beat is None:
             make(task)
         else:
-            make(task, lambda reader: Watched(reader, beat))
+            make(task, lambda reader: watched(reader, beat))
     except Exception:  # noqa: BLE001 - an error of one run must not stop the others
         return [failure for run in task.runs if (failure := _alone(task.job, run)) is not None]
     return []
@@ -265,10 +259,8 @@ def _make(
         if one.sink is not None:
             stack.enter_context(one.sink)
     keep, paths = batch.output == "full", batch.output == "trajectories"
-    writers = [one.sink.writer for one in every if keep and isinstance(one.sink, BagSink)]
-    fan: Any = MultiSink(writers)
-    whole_topics = None if keep or paths else whole
-    for portion in portions(transform, shared, part, keep=keep, whole=whole_topics, writer=fan):
+    fan: Any = MultiSink([one.sink.writer for one in every if keep and isinstance(one.sink, BagSink)])
+    for portion in portions(transform, shared, part, keep=keep, whole=None if keep or paths else whole, writer=fan):
         for one in every:
             one.state.grow(portion.growth)
             data = one.state.patched(portion) if one.patches and portion.targets else portion.data
@@ -394,24 +386,6 @@ class Need:
     free_bytes: int
 
 
-class _First(ReaderView):
-    """The beginning of a bag."""
-
-    def __init__(self, reader: BagReader) -> None:
-        super().__init__(reader)
-        self.read_bytes, self.cut = 0, False
-
-    def blocks(self, only: Any = None) -> Iterator[Block]:  # noqa: ARG002 - the protocol's signature
-        """Yield blocks until `TRIED_BYTES`, and beyond it until there has been odometry."""
-        self.read_bytes = 0
-        for block in self._reader.blocks():
-            self.read_bytes += block.data.size
-            yield block
-            if self.read_bytes >= TRIED_BYTES:
-                self.cut = True
-                return
-
-
 def estimate(job: Job) -> Estimate:
     """Return the cost of one run, from a few runs on the beginning of the bag in a temporary directory."""
     size = bytes_of(job.source)
@@ -429,30 +403,40 @@ def estimate(job: Job) -> Estimate:
     return Estimate(size if copied else round(chosen.bytes / part), chosen.seconds / part, round(overlay.bytes / part))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Trial:
-    bytes: float
-    seconds: float
-    read_bytes: int
-    cut: bool
-    copied: bool
+    bytes: float = 0.0
+    seconds: float = 0.0
+    read_bytes: int = 0
+    cut: bool = False
+    copied: bool = False
 
 
 def _try(job: Job, runs: int, directory: Path, **changes: Any) -> _Trial:
     (directory / PARTS).mkdir(parents=True)
     tried = replace(job, batch=replace(job.batch, **changes), directory=directory)
-    firsts: list[_First] = []
+    trial = _Trial()
 
-    def first(reader: BagReader) -> Any:
-        firsts.append(_First(reader))
-        return firsts[-1]
+    def first(reader: BagReader) -> ReaderView:
+        """Return a reader of the blocks until `TRIED_BYTES`."""
+        trial.copied, trial.cut = reader.kind == "sqlite3", False
+
+        def blocks(_only: Container[int] | None) -> Iterator[Block]:
+            trial.read_bytes = 0
+            for block in reader.blocks():
+                trial.read_bytes += block.data.size
+                yield block
+                if trial.read_bytes >= TRIED_BYTES:
+                    trial.cut = True
+                    return
+
+        return ReaderView(reader, blocks)
 
     begun = time.process_time()
     make(Task(tried, tuple(range(runs))), first)
-    spent = time.process_time() - begun
-    written = sum(bytes_of(tried.path_of(run)) for run in range(runs))
-    last = firsts[-1]
-    return _Trial(written / runs, spent / runs, last.read_bytes, last.cut, last.kind == "sqlite3")
+    trial.seconds = (time.process_time() - begun) / runs
+    trial.bytes = sum(bytes_of(tried.path_of(run)) for run in range(runs)) / runs
+    return trial
 
 
 def need_of(jobs: Sequence[Job], runs: range, shard: Shard) -> Need:
@@ -539,11 +523,21 @@ class Audience(Protocol):
     shown: bool
     failures: list[Failure]
 
-    def done(self, task: Task, failures: list[Failure]) -> None:
+    def done(self, task: Task, failures: list[Failure]) -> None:  # noqa: ARG002 - for those who show it
         """Report that a task is done."""
+        self.failures.extend(failures)
 
     def under_way(self, task: Task, part: float | None, past_s: float) -> None:
         """Report the part of the bag read by a task's pass, 0 to 1, and its seconds; only if `shown`."""
+        return
+
+
+@dataclass(slots=True)
+class _Silent(Audience):
+    """Audience that only collects the failures."""
+
+    shown: bool = False
+    failures: list[Failure] = field(default_factory=list)
 
 
 def run_local(tasks: Sequence[Task], jobs: int, audience: Audience) -> None:
@@ -715,20 +709,6 @@ class Made:
 
     runs: int
     failures: tuple[Failure, ...]
-
-
-@dataclass(slots=True)
-class _Silent:
-    """Audience that only collects the failures."""
-
-    shown: bool = False
-    failures: list[Failure] = field(default_factory=list)
-
-    def done(self, _task: Task, failures: list[Failure]) -> None:
-        self.failures.extend(failures)
-
-    def under_way(self, _task: Task, _part: float | None, _past_s: float) -> None:
-        """Do nothing: progress is not displayed."""
 
 
 def run_batch(

@@ -6,6 +6,7 @@ import io
 import zipfile
 from abc import ABC, abstractmethod
 from dataclasses import replace
+from functools import partial
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
@@ -13,9 +14,8 @@ import numpy as np
 from mcap.opcode import Opcode as Op
 
 from odomcorrupt.bags.block import BARE, Block, Message, ReaderView, without
-from odomcorrupt.bags.codecs import compress_for_ros1
 from odomcorrupt.bags.mcap.chunk import McapFraming
-from odomcorrupt.bags.mcap.writer import McapWriter, Packed, packed
+from odomcorrupt.bags.mcap.writer import McapWriter
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.bags.output import Output, OutputContext
 from odomcorrupt.bags.provenance import metadata_of
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.open import Target
     from odomcorrupt.bags.pipeline import Workers
     from odomcorrupt.batching.job import Job
-    from odomcorrupt.batching.patch_batch import Place, Portion
+    from odomcorrupt.batching.patch_batch import Portion
     from odomcorrupt.corruption.path import PathSamples
     from odomcorrupt.corruption.run import Container as BagContainer
     from odomcorrupt.geometry.se2 import Array
@@ -146,21 +146,16 @@ Added = list[list[Message]] | None
 
 
 class BagSink(ABC):
-    """A run written as a bag, with its model in the metadata where the format has any."""
+    """A run written as a bag by a `writer`, with its model in the metadata where the format has any."""
 
-    def __init__(self, job: Job, run: int, writer: Any) -> None:
+    def __init__(self, job: Job, run: int, writer: BagWriter) -> None:
         self._job, self._run = job, run
-        self._writer = writer
-
-    @property
-    def writer(self) -> BagWriter:
-        """Writer of the bag."""
-        return self._writer
+        self.writer = writer
 
     @property
     def crc(self) -> int | None:
         """CRC-32 of the bag's file after the context's end; None for a directory, sqlite3 and ROS 1."""
-        return self._writer.crc if isinstance(self._writer, OutputContext) else None
+        return self.writer.crc if isinstance(self.writer, OutputContext) else None
 
     @abstractmethod
     def write(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
@@ -170,7 +165,7 @@ class BagSink(ABC):
         """
 
     def __enter__(self) -> Self:
-        self._writer.__enter__()
+        self.writer.__enter__()
         return self
 
     def __exit__(
@@ -181,11 +176,11 @@ class BagSink(ABC):
                 batch = self._job.batch
                 own = provenance(self._job.model_of(self._run), seed=batch.seed, run=self._run)
                 within = {} if batch.condition is None else batch.condition.provenance()
-                self._writer.provenance("odomcorrupt", own | within)
+                self.writer.provenance("odomcorrupt", own | within)
             except BaseException as failed:
-                self._writer.__exit__(type(failed), failed, failed.__traceback__)
+                self.writer.__exit__(type(failed), failed, failed.__traceback__)
                 raise
-        self._writer.__exit__(kind, error, trace)
+        self.writer.__exit__(kind, error, trace)
 
 
 class MultiSink:
@@ -221,8 +216,8 @@ class FullSink(BagSink):
             block = portion.patched_block(number, data)
             if added is not None:
                 block = replace(block, added=block.added + added[number])
-            self._writer.write(block)
-        self._writer.settle()
+            self.writer.write(block)
+        self.writer.settle()
 
 
 class OverlaySink(BagSink):
@@ -239,7 +234,7 @@ class OverlaySink(BagSink):
     def write(self, portion: Portion, data: NDArray[np.uint8], _added: Added = None) -> None:
         """Write the changed topics."""
         if len(portion.table):
-            self._writer.write(Block(data, portion.table, McapFraming() if self._native else BARE))
+            self.writer.write(Block(data, portion.table, McapFraming() if self._native else BARE))
 
 
 class Rests:
@@ -256,20 +251,13 @@ class Rests:
             self._portion = portion
             self._packed.clear()
             self._blocks = [
-                block if place is None else _rest(block, place)
+                block if place is None else without(block, np.isin(np.arange(len(block.table)), place.rows))
                 for block, place in zip(portion.blocks, portion.places, strict=True)
             ]
         return self._blocks
 
-    def compress(self, codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
-        """Return a chunk compressed for an MCAP, with checksums; data common to all runs is compressed once."""
-        return self._once(packed, codec, data, level)
-
-    def compress_for_ros1(self, codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | memoryview:
-        """Return a chunk compressed for a ROS 1 bag; data common to all runs is compressed once."""
-        return self._once(compress_for_ros1, codec, data, level)
-
-    def _once(self, how: Any, codec: str, data: NDArray[np.uint8], level: int | None) -> Any:
+    def compress(self, how: Any, codec: str, data: NDArray[np.uint8], level: int | None) -> Any:
+        """Return a chunk compressed as `how` does; data common to all runs is compressed once."""
         # a block of several chunks is compressed chunk by chunk
         key = (data.__array_interface__["data"][0], data.size, codec)
         if key in self._packed:
@@ -278,13 +266,6 @@ class Rests:
         if any(np.may_share_memory(block.data, data) for block in self._blocks):
             self._packed[key] = chunk
         return chunk
-
-
-def _rest(block: Block, place: Place) -> Block:
-    """Return a block without the messages that change."""
-    changing = np.zeros(len(block.table), dtype=bool)
-    changing[place.rows] = True
-    return without(block, changing)
 
 
 class SplitSink(BagSink):
@@ -296,11 +277,9 @@ class SplitSink(BagSink):
 
     def __enter__(self) -> Self:
         super().__enter__()
-        for file in getattr(self._writer, "files", [self._writer]):
-            if isinstance(file, McapWriter):
-                file.pack = self._rests.compress
-            elif hasattr(file, "pack"):  # a ROS 1 bag; sqlite3 has no chunks
-                file.pack = self._rests.compress_for_ros1
+        for file in getattr(self.writer, "files", [self.writer]):
+            if hasattr(file, "pack"):  # sqlite3 has no chunks
+                file.pack = partial(self._rests.compress, file.pack)
         return self
 
     def write(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
@@ -310,7 +289,7 @@ class SplitSink(BagSink):
         for _, numbers in groupby(range(len(blocks)), lambda number: portion.blocks[number].part):
             own = list(numbers)
             for number in own:
-                self._writer.write(blocks[number])
+                self.writer.write(blocks[number])
             places = [place for number in own if (place := portion.places[number]) is not None]
             if not places:
                 continue
@@ -319,7 +298,7 @@ class SplitSink(BagSink):
             more = [one for number in own for one in portion.blocks[number].added]
             more += [] if added is None else [one for number in own for one in added[number]]
             span = slice(first_byte, first_byte + size)
-            self._writer.write(_changed(portion, own, rows, span, data[span], more))
+            self.writer.write(_changed(portion, own, rows, span, data[span], more))
             first_row, first_byte = rows.stop, span.stop
 
 
@@ -365,7 +344,15 @@ def assemble_overlay(overlay: Path, source: Path, target: Path, container: BagCo
         if len({(reader.channels[one].topic, reader.channels[one].msgtype) for one in wanted}) < len(topics):
             raise BatchError(f"{overlay}: has topics that {source} lacks; name the input it was made from")
         stream = _Messages(changed, overlay)
-        merged = _Merged(reader, wanted, stream, source)
+        replaced = 0
+
+        def blocks(only: Container[int] | None) -> Iterator[Block]:
+            nonlocal replaced
+            for block in reader.blocks(only):
+                replaced += _replace(block, reader, wanted, stream, source)
+                yield block
+
+        merged: Any = ReaderView(reader, blocks)
         if output.reader is not reader:
             # what is converted is the merged bag
             output = container.target(target, merged)
@@ -375,28 +362,11 @@ def assemble_overlay(overlay: Path, source: Path, target: Path, container: BagCo
             stream.require_end(source)
             if stream.provenance is not None:
                 writer.provenance("odomcorrupt", stream.provenance)
-    return merged.replaced
-
-
-class _Merged(ReaderView):
-    """The original with the overlay's messages in place of its own.
-
-    replaced : number of replaced messages
-    """
-
-    def __init__(self, reader: BagReader, wanted: set[int], stream: _Messages, source: Path) -> None:
-        super().__init__(reader)
-        self._wanted, self._stream, self._source = wanted, stream, source
-        self.replaced = 0
-
-    def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
-        """Yield the blocks with the overlay's messages."""
-        for block in self._reader.blocks(only):
-            self.replaced += _replace(block, self._reader, self._wanted, self._stream, self._source)
-            yield block
+    return replaced
 
 
 def _replace(block: Block, reader: BagReader, wanted: set[int], stream: _Messages, source: Path) -> int:
+    """Put the overlay's messages in place of a block's own; return their number."""
     rows = np.flatnonzero(np.isin(block.table["channel"], list(wanted)))
     for row in block.table[rows]:
         channel = reader.channels[int(row["channel"])]
