@@ -10,7 +10,6 @@ import numpy as np
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.correction.run import MeasuredPath
 from odomcorrupt.corruption.path import MARKS_M, NoisyPath
-from odomcorrupt.corruption.transform import Transform
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -80,20 +79,17 @@ class Forecast:
 def read_clean_drive(
     reader: BagReader, model: MotionModel, options: Options, watch: Callable[[Block], None] = lambda _: None
 ) -> CleanDrive:
-    """Return the clean path of a bag's odometry source; `watch` is called with every block.
+    """Return the longest stretch of a bag's odometry; `watch` is called with every block.
 
     Raises
     ------
     TopicError
         If there is no odometry source.
     """
-    transform, measured = Transform(model.identity, 0, 0, options), MeasuredPath()
-    transform.watchers.append(measured)
-    for block in transform.blocks(reader, reader.name):
-        watch(block)
+    measured = MeasuredPath.of(reader, model, options, watch)
     longest = max((parts for parts in measured.parts if parts), key=lambda parts: float(parts[-1].travelled_m[-1]))
     return CleanDrive(
-        transform.odometry.name,
+        measured.name,
         np.concatenate([samples.stamps_ns for samples in longest]),
         np.concatenate([samples.clean_xyt for samples in longest]),
     )

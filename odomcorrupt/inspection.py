@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from odomcorrupt.bags.messages import TRANSFORMS, gather, gather_stamps_ns, locate, stamps_or_log_ns
+from odomcorrupt.bags.messages import TRANSFORMS, gather, locate
 from odomcorrupt.corruption.odometry_source import (
     ENCODINGS,
     GLOBAL_FRAMES,
     ODOMETRY,
-    PLANAR,
     Frames,
     contains_truth,
     frame_of,
@@ -29,7 +28,7 @@ from odomcorrupt.corruption.patch import PLANAR_BLOCK
 from odomcorrupt.corruption.path import JUMP_MIN_S, JUMP_SPEED
 from odomcorrupt.corruption.pose_faults import FAR_M, Alternation, PoseFaults, frame_faults
 from odomcorrupt.corruption.reorder import WINDOW_NS
-from odomcorrupt.corruption.se2_on_se3 import planar_poses, poses_in
+from odomcorrupt.corruption.se2_on_se3 import PLANAR
 from odomcorrupt.corruption.summary import SIDEWAYS, leaks_line
 from odomcorrupt.errors import ModelError, TopicError
 from odomcorrupt.geometry.se2 import increments, interpolate, inverse, wrap
@@ -120,7 +119,6 @@ class PathRecord:
 
     frame, child : frames of its first message; of an edge, parent and child
     stamps_ns (n,); xyt (n, 3) metres, radians; twist (n, 3) forward and leftward m/s, yaw rad/s, None for TF
-    zero_stamps : number of zero stamps
     pose_covariance, twist_covariance : checks of the covariances
     faults : counts of unusable poses
     """
@@ -131,7 +129,6 @@ class PathRecord:
     stamps_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     xyt: Array = field(default_factory=lambda: np.zeros((0, 3)))
     twist: Array | None = None
-    zero_stamps: int = 0
     pose_covariance: CovarianceCheck = field(default_factory=CovarianceCheck)
     twist_covariance: CovarianceCheck = field(default_factory=CovarianceCheck)
     faults: PoseFaults = field(default_factory=PoseFaults)
@@ -139,14 +136,10 @@ class PathRecord:
 
     def take(self, block: Block, layout: Layout, item: Item) -> None:
         """Add the messages of a layout."""
-        poses = poses_in(block, layout, item)
-        stamps_ns, xyt = stamps_or_log_ns(block, layout, item), planar_poses(poses)
-        self.zero_stamps += int(np.count_nonzero(gather_stamps_ns(block, layout, item) == 0))
+        stamps_ns, xyt = self.faults.read(block, layout, item)
         twist = xyt[:, :0]
         if "twist" in item.fields:
             twist = gather(block, layout, item, "twist")[:, PLANAR]
-            self.faults.take(poses.position, poses.quat_xyzw)
-            self.faults.twists.take(stamps_ns, xyt, twist)
             self.pose_covariance.take(gather(block, layout, item, "pose_covariance"))
             self.twist_covariance.take(gather(block, layout, item, "twist_covariance"))
         self._parts.append((stamps_ns, xyt, twist))
@@ -245,8 +238,8 @@ def _findings(record: PathRecord) -> dict[str, Any]:
     turning = np.divide(np.abs(steps.dtheta_rad), dt, out=np.zeros_like(length), where=good)
     duration = float(dt[dt > 0.0].sum())
     odd = []
-    if record.zero_stamps:
-        odd.append(f"{record.zero_stamps} of {len(record.stamps_ns)} stamps are zero: log times are used instead")
+    if zero := record.faults.zero_stamps:
+        odd.append(f"{zero} of {len(record.stamps_ns)} stamps are zero: log times are used instead")
     if (numberless := np.count_nonzero(~finite) - record.faults.no_orientation) > 0:
         odd.append(f"{numberless} poses are not numbers")
     odd += record.faults.sentences()
@@ -362,8 +355,9 @@ def summarise(
         if edge is not None:  # TF is the odometry
             xyt = edge.xyt if edge.frame == frames.odom else inverse(edge.xyt)
             name, base = f"TF {frames.odom} -> {frames.base}", frames.base or ""
-            source = replace(edge, topic=name, frame=frames.odom, child=base, xyt=xyt, faults=PoseFaults())
-            source.faults.paths.take(xyt[np.argsort(edge.stamps_ns, kind="stable")])
+            faults = PoseFaults(zero_stamps=edge.faults.zero_stamps)
+            source = replace(edge, topic=name, frame=frames.odom, child=base, xyt=xyt, faults=faults)
+            faults.paths.take(xyt[np.argsort(edge.stamps_ns, kind="stable")])
             drives, home = (source,), edge.topic
 
     def shares(topic: str, with_topic: str | None = home) -> bool:

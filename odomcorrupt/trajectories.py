@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from odomcorrupt.bags.messages import TRANSFORMS, gather, locate, scatter, stamps_or_log_ns
+from odomcorrupt.bags.messages import TRANSFORMS, gather, locate, located, scatter, stamps_or_log_ns
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.corruption.odometry_source import ODOMETRY, Frames, find_odometry, plain, side_of, tree_of
-from odomcorrupt.corruption.se2_on_se3 import from_left, from_right, poses_in
+from odomcorrupt.corruption.se2_on_se3 import PLANAR, from_left, from_right, poses_in
 from odomcorrupt.errors import ModelError, RecordingError, TopicError
 from odomcorrupt.geometry.se2 import compose, inverse, yaw_from_quaternion
 from odomcorrupt.geometry.trajectory import Trajectory, distance_along
@@ -107,16 +107,14 @@ def _drive(reader: BagReader, channels: list[Channel], topic: str) -> Drive:
     """Return the stamps, poses and twists of the channels of one topic; twists are zero in messages without them."""
     parts: list[tuple[NDArray[np.int64], Array]] = [(np.zeros(0, dtype=np.int64), np.zeros((0, 6)))]
     frames: tuple[str, str] | None = None
-    for block in reader.blocks():
-        for channel in channels:
-            for layout in locate(block, channel):
-                item = layout.items[0]
-                frames = frames or (item.frame_id, item.child_frame_id)
-                xy = gather(block, layout, item, "position")[:, :2]
-                yaw = yaw_from_quaternion(gather(block, layout, item, "orientation"))
-                has_twist = "twist" in item.fields
-                twist = gather(block, layout, item, "twist")[:, [0, 1, 5]] if has_twist else np.zeros((len(yaw), 3))
-                parts.append((stamps_or_log_ns(block, layout, layout.items[0]), np.column_stack((xy, yaw, twist))))
+    for block, _, layout in located(reader, channels):
+        item = layout.items[0]
+        frames = frames or (item.frame_id, item.child_frame_id)
+        xy = gather(block, layout, item, "position")[:, :2]
+        yaw = yaw_from_quaternion(gather(block, layout, item, "orientation"))
+        has_twist = "twist" in item.fields
+        twist = gather(block, layout, item, "twist")[:, PLANAR] if has_twist else np.zeros((len(yaw), 3))
+        parts.append((stamps_or_log_ns(block, layout, item), np.column_stack((xy, yaw, twist))))
     stamps, numbers = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     good = np.isfinite(numbers).all(axis=1)
     # of messages with equal stamps the last one is used: its twist is the one that continues

@@ -17,11 +17,11 @@ from odomcorrupt.bags.source import ZSTD
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import Block, Channel
+    from odomcorrupt.bags.block import BagReader, Block, Channel
 
 
 _PLAIN_CDR = {0x00: (">", 8), 0x01: ("<", 8), 0x06: (">", 4), 0x07: ("<", 4), 0x10: (">", 4), 0x11: ("<", 4)}
@@ -310,6 +310,14 @@ def locate(block: Block, channel: Channel) -> list[Layout]:
         If a message is shorter than its strings and numbers require, or its type or encoding is unknown.
     """
     return list(_layouts(block, channel))
+
+
+def located(reader: BagReader, channels: Collection[Channel]) -> Iterator[tuple[Block, Channel, Layout]]:
+    """Yield the layouts of all messages of some channels of a bag, each with its block and channel; see `locate`."""
+    for block in reader.blocks():
+        for channel in channels:
+            for layout in locate(block, channel):
+                yield block, channel, layout
 
 
 def undecodable(block: Block, channel: Channel) -> dict[int, BagError]:

@@ -527,7 +527,7 @@ class Audience(Protocol):
         """Report that a task is done."""
         self.failures.extend(failures)
 
-    def under_way(self, task: Task, part: float | None, past_s: float) -> None:
+    def under_way(self, task: Task, part: float | None, past_s: float) -> None:  # noqa: ARG002 - as above
         """Report the part of the bag read by a task's pass, 0 to 1, and its seconds; only if `shown`."""
         return
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import Block
+    from odomcorrupt.bags.block import BagReader, Block
     from odomcorrupt.correction.undo import Undone
     from odomcorrupt.corruption.run import Container, Outcome
     from odomcorrupt.corruption.transform import Options
@@ -42,10 +42,26 @@ if TYPE_CHECKING:
 
 
 class MeasuredPath:
-    """Collects the path of the odometry in `parts`; a reset of time begins a new stretch."""
+    """Collects the path of the odometry in `parts`; a reset of time begins a new stretch.
+
+    name : name of the odometry
+    """
 
     def __init__(self) -> None:
+        self.name = ""
         self.parts: list[list[PathSamples]] = [[]]
+
+    @classmethod
+    def of(
+        cls, reader: BagReader, model: MotionModel, options: Options, watch: Callable[[Block], None] = lambda _: None
+    ) -> Self:
+        """Return the path of a bag's odometry, sorted as in a corruption; `watch` is called with every block."""
+        transform, measured = Transform(model.identity, 0, 0, options), cls()
+        transform.watchers.append(measured)
+        for block in transform.blocks(reader, reader.name):
+            watch(block)
+        measured.name = transform.odometry.name
+        return measured
 
     def restart(self) -> None:
         """Begin a new stretch."""
@@ -241,7 +257,8 @@ def correct_bag(
             source, target, model.identity, seed=0, run=0, options=options, container=container, watch=watch
         )
         return Corrected(model=model, effects=effects, unplaced=(), run=copied)
-    path = CorrectedPath(_measured(source, model, options, container).corrected(model, start_xyt))
+    with open_reader(source, recover=container.recover) as reader:
+        path = CorrectedPath(MeasuredPath.of(reader, model, options).corrected(model, start_xyt))
     clocks = tuple(effect for effect in effects.undone if effect.clock)
     still = tuple(effect for effect in effects.undone if not effect.clock)
     moving = replace(model, effects=(*still, ClockInverse(clocks)))
@@ -260,16 +277,6 @@ def correct_bag(
     # learned models either have a start pose or were declared not to need one
     unplaced = tuple(e for e in still if start_xyt is None and e.reads_places and e not in model.placed)
     return Corrected(model=model, effects=effects, unplaced=unplaced, run=outcome)
-
-
-def _measured(source: Path, model: MotionModel, options: Options, container: Container) -> MeasuredPath:
-    """Read the odometry, in the order of the second pass."""
-    transform, measured = Transform(model.identity, 0, 0, options), MeasuredPath()
-    transform.watchers.append(measured)
-    with open_reader(source, recover=container.recover) as reader:
-        for _ in transform.blocks(reader, reader.name):
-            pass
-    return measured
 
 
 _WHY_NOT = {
@@ -315,7 +322,11 @@ def brief(corrected: Corrected, target: str) -> Summary:
     lines.append(odometry_line(corrected.run))
     lines += [Line("remains", f"{e.name}: {_WHY_NOT.get(e.name, _RANDOM)}", "warning") for e in corrected.effects.left]
     lines += [Line("remains", f"{e.name} {_AT_REST}") for e in corrected.effects.undone if e.shown_at_rest]
-    lines += [Line("remains", sentence.removeprefix("What remains is ")) for sentence in _remains(corrected)]
+    if corrected.effects.undone and not corrected.model.noise.coefficients.noise_free:
+        remains = f"noise: {size_words(drift.end_expected_m, drift.end_expected_rad)} expected at the end"
+        if drift.leg_expected_m is not None and drift.leg_expected_rad is not None:
+            remains += f", {size_words(drift.leg_expected_m, drift.leg_expected_rad)} per {LEG_M:.0f} m"
+        lines.append(Line("remains", f"{remains} (1 sigma)."))
     odd = stream_oddities(
         corrected.run, follow="the correction", restart="each stretch was corrected by itself",
         late="not used to correct",
@@ -351,16 +362,6 @@ def _clock_left(corrected: Corrected) -> list[str]:
     why = f"time_offset {offset_s * 1e3:.3g} ms of {name} is not corrected: the truth's clock may cause it"
     side = "late" if offset_s > 0.0 else "early"
     return [f"{why}; if odometry stamps are that {side} in this bag, add --effect time_offset:offset={offset_s:.4g}"]
-
-
-def _remains(corrected: Corrected) -> list[str]:
-    if corrected.model.noise.coefficients.noise_free or not corrected.effects.undone:
-        return []
-    drift = corrected.run.drift
-    remains = f"What remains is noise: {size_words(drift.end_expected_m, drift.end_expected_rad)} expected at the end"
-    if drift.leg_expected_m is not None and drift.leg_expected_rad is not None:
-        remains += f", {size_words(drift.leg_expected_m, drift.leg_expected_rad)} per {LEG_M:.0f} m"
-    return [f"{remains} (1 sigma)."]
 
 
 def _misplaced(corrected: Corrected) -> list[str]:

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.bags.messages import TRANSFORMS, gather, gather_stamps_ns, stamps_or_log_ns
+from odomcorrupt.bags.messages import TRANSFORMS
 from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.reorder import Arrivals
-from odomcorrupt.corruption.se2_on_se3 import inverted, planar_poses, poses_in
 from odomcorrupt.errors import TopicError
 from odomcorrupt.sensors import SENSORS
 
@@ -34,8 +33,6 @@ GLOBAL_FRAMES = frozenset({"map", "world", "earth", "utm"})
 _LOCALISED = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 Side = Literal["left", "right"]
-PLANAR = np.array([0, 1, 5])
-"""Where x, y and yaw stand among x, y, z, roll, pitch, yaw."""
 
 
 class Frames(NamedTuple):
@@ -198,7 +195,6 @@ class OdometrySource:
     topic : its topic, as requested until the first message (of one publisher as TOPIC@NODE); None for any TF topic
     frames : of its first message, or of the options
     by_edge : whether the source is a TF edge
-    zero_stamps : number of zero stamps, replaced by log times
     faults : counts of unusable poses
     """
 
@@ -213,7 +209,6 @@ class OdometrySource:
         self._odom_frame = odom_frame
         self._base_frame = base_frame
         self.by_edge = False
-        self.zero_stamps = 0
         self.faults = PoseFaults()
         self._edges: set[str] = set()
         self._edge_topics: set[str] = set()
@@ -320,7 +315,10 @@ class OdometrySource:
                 self._edge_topics |= {channel.topic} if items else set()
             else:
                 items = [layout.items[0]] if self.is_odometry(channel) else []
-            found += [(layout.rows, self._poses(block, layout, item, time_ns)) for item in items]
+            for item in items:
+                side = None if self.frames is None else side_of(item.frame_id, item.child_frame_id, self.frames)
+                stamps_ns, xyt = self.faults.read(block, layout, item, inverse=side == "right")
+                found.append((layout.rows, Arrivals(stamps_ns, time_ns[layout.rows], xyt)))
         if not found:
             none = np.zeros(0, dtype=np.int64)
             return Arrivals(none, none, np.zeros((0, 3)))
@@ -341,19 +339,6 @@ class OdometrySource:
             asked = plain(self._asked)
             if any(channel.msgtype in TRANSFORMS and plain(channel.topic) == asked for channel, _ in parts):
                 self._use_edge()
-
-    def _poses(self, block: Block, layout: Layout, item: Item, time_ns: NDArray[np.int64]) -> Arrivals:
-        poses = poses_in(block, layout, item)
-        if self.frames is not None and side_of(item.frame_id, item.child_frame_id, self.frames) == "right":
-            poses = inverted(poses)
-        xyt = planar_poses(poses)
-        self.faults.take(poses.position, poses.quat_xyzw)
-        if not (stamps_ns := gather_stamps_ns(block, layout, item)).all():
-            self.zero_stamps += int(np.count_nonzero(stamps_ns == 0))
-            stamps_ns = stamps_or_log_ns(block, layout, item)
-        if "twist" in item.fields:
-            self.faults.twists.take(stamps_ns, xyt, gather(block, layout, item, "twist")[:, PLANAR])
-        return Arrivals(stamps_ns, time_ns[layout.rows], xyt)
 
 
 MOTION_TYPES = frozenset({

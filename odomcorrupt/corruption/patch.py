@@ -11,9 +11,10 @@ import numpy as np
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, scatter, scatter_columns, scatter_stamps_ns
 from odomcorrupt.corruption.correction import Correction, body_difference
 from odomcorrupt.corruption.covariance import STEP_SUMS, has_random_part, pose_covariance, twist_covariance
-from odomcorrupt.corruption.odometry_source import ODOMETRY, PLANAR, plain
+from odomcorrupt.corruption.odometry_source import ODOMETRY, plain
 from odomcorrupt.corruption.pose_faults import Alternation
 from odomcorrupt.corruption.se2_on_se3 import (
+    PLANAR,
     SpatialPoses,
     finite_rows,
     from_left,

@@ -166,6 +166,14 @@ class PathSamples:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
+    def at(self, i: int) -> PathSamples:
+        """Return a copy of one of them."""
+        one = slice(i, i + 1)
+        return PathSamples(
+            self.stamps_ns[one].copy(), self.clean_xyt[one].copy(), self.error_xyt[one].copy(),
+            self.sums[:, one].copy(), self.origin_xy, self.travelled_m[one].copy(), jumps=0, sideways_m=0.0,
+        )  # fmt: skip
+
     @property
     def correction_xyt(self) -> Array:
         """Correction C (n, 3): noisy pose composed with the inverse of the clean pose, metres and radians."""
@@ -338,22 +346,6 @@ class Drift(NamedTuple):
         return (self.messages - 1) / self.duration_s if self.duration_s > 0.0 and self.messages > 1 else None
 
 
-class _Place(NamedTuple):
-    clean_xyt: Array
-    error_xyt: Array
-    sums: Array
-    origin_xy: Array
-    travelled_m: float
-    stamp_ns: int
-
-
-def _place(samples: PathSamples, i: int) -> _Place:
-    return _Place(
-        samples.clean_xyt[i].copy(), samples.error_xyt[i].copy(), samples.sums[:, i].copy(), samples.origin_xy,
-        float(samples.travelled_m[i]), int(samples.stamps_ns[i]),
-    )  # fmt: skip
-
-
 class PathWatcher(Protocol):
     """Callback that receives the noisy path, part by part."""
 
@@ -373,15 +365,16 @@ class DriftMeter:
         self._slowed = Slowed()
         self._distance_m = self._duration_s = 0.0
         self._legs: list[list[float]] = []
-        self._start: _Place | None = None
-        self._mark: _Place | None = None
-        self._end: _Place | None = None
+        # each a single sample
+        self._start: PathSamples | None = None
+        self._mark: PathSamples | None = None
+        self._end: PathSamples | None = None
 
     def restart(self) -> None:
         """End the current stretch."""
         if self._start is not None and self._end is not None:
-            self._distance_m += self._end.travelled_m
-            self._duration_s += (self._end.stamp_ns - self._start.stamp_ns) * 1e-9
+            self._distance_m += float(self._end.travelled_m[0])
+            self._duration_s += int(self._end.stamps_ns[0] - self._start.stamps_ns[0]) * 1e-9
         self._start = self._mark = None
 
     def add(self, samples: PathSamples) -> None:
@@ -395,16 +388,16 @@ class DriftMeter:
             self._slowed.duration_s + samples.slowed.duration_s, min(self._slowed.to, samples.slowed.to)
         )
         if self._start is None or self._mark is None:
-            self._start = self._mark = _place(samples, 0)
+            self._start = self._mark = samples.at(0)
         ends: list[int] = []
-        end_m = self._mark.travelled_m + LEG_M
+        end_m = float(self._mark.travelled_m[0]) + LEG_M
         while samples.travelled_m[-1] >= end_m:
             ends.append(int(np.searchsorted(samples.travelled_m, end_m)))
             end_m = float(samples.travelled_m[ends[-1]]) + LEG_M
         if ends:
             self._legs += _legs(self._mark, samples, ends).tolist()
-            self._mark = _place(samples, ends[-1])
-        self._end = _place(samples, len(samples) - 1)
+            self._mark = samples.at(ends[-1])
+        self._end = samples.at(len(samples) - 1)
 
     def result(self) -> Drift | None:
         """Return the drift so far; None where there was no odometry."""
@@ -412,13 +405,13 @@ class DriftMeter:
             return None
         self.restart()
         end = self._end
-        noisy_xy = end.clean_xyt[:2] + end.error_xyt[:2] - end.origin_xy
-        expected_m, expected_rad = _expected(end.sums[:, None], noisy_xy[:, None])
+        noisy_xy = end.clean_xyt[:, :2] + end.error_xyt[:, :2] - end.origin_xy
+        expected_m, expected_rad = _expected(end.sums, noisy_xy.T)
         legs = [float(x) for x in np.sqrt(np.mean(np.square(self._legs), axis=0))] if self._legs else [None] * 4
         return Drift(
             self._distance_m, self._duration_s, self._messages, self._jumps, self._sideways_m,
             float(expected_m[0]), float(expected_rad[0]),
-            float(np.hypot(*end.error_xyt[:2])), abs(float(end.error_xyt[2])), *legs,
+            float(np.hypot(*end.error_xyt[0, :2])), abs(float(end.error_xyt[0, 2])), *legs,
             *(self._slowed if self._slowed.duration_s else (None, None)),
         )  # fmt: skip
 
@@ -430,11 +423,11 @@ def _expected(grown: Array, noisy_xy: Array) -> tuple[Array, Array]:
     return np.sqrt(np.maximum(position, 0.0)), np.sqrt(np.maximum(yaw, 0.0))
 
 
-def _legs(start: _Place, samples: PathSamples, ends: list[int]) -> Array:
+def _legs(start: PathSamples, samples: PathSamples, ends: list[int]) -> Array:
     """Return expected and drawn errors of legs, metres and radians (n, 4); each begins where the one before it ends."""
-    clean = np.concatenate((start.clean_xyt[None], samples.clean_xyt[ends]))
-    error = np.concatenate((start.error_xyt[None], samples.error_xyt[ends]))
-    sums = np.concatenate((start.sums[:, None], samples.sums[:, ends]), axis=1)
+    clean = np.concatenate((start.clean_xyt, samples.clean_xyt[ends]))
+    error = np.concatenate((start.error_xyt, samples.error_xyt[ends]))
+    sums = np.concatenate((start.sums, samples.sums[:, ends]), axis=1)
     noisy = clean + error
     off = between(noisy[:-1], noisy[1:]) - between(clean[:-1], clean[1:])
     expected = _expected(np.diff(sums, axis=1), (noisy[1:, :2] - samples.origin_xy).T)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.bags.messages import gather, gather_stamps_ns, stamps_or_log_ns
+from odomcorrupt.corruption.se2_on_se3 import PLANAR, inverted, planar_poses, poses_in
 from odomcorrupt.geometry.se2 import wrap
 
 if TYPE_CHECKING:
@@ -15,6 +17,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from odomcorrupt.bags.block import Block
+    from odomcorrupt.bags.messages import Item, Layout
     from odomcorrupt.geometry.se2 import Array
 
 ZERO = "orientations are quaternions of four zeros"
@@ -213,8 +217,9 @@ class Alternation:
 
 @dataclass(slots=True, eq=False, repr=False)
 class PoseFaults:
-    """Counts of unusable poses of an odometry topic.
+    """Reader of the poses of an odometry topic or TF edge, with counts of what is unusable in them.
 
+    zero_stamps : stamps that are zero, replaced by log times
     no_orientation : quaternions that are zero
     no_w : quaternions whose w was never set, see `lacks_w`
     upright : pitches beyond 85 deg
@@ -224,6 +229,7 @@ class PoseFaults:
     paths : test for two publishers, of the poses in the order of their stamps
     """
 
+    zero_stamps: int = 0
     no_orientation: int = 0
     no_w: int = 0
     upright: int = 0
@@ -231,6 +237,24 @@ class PoseFaults:
     order: ComponentOrder = field(default_factory=ComponentOrder)
     twists: TwistTravel = field(default_factory=TwistTravel)
     paths: Alternation = field(default_factory=Alternation)
+
+    def read(
+        self, block: Block, layout: Layout, item: Item, *, inverse: bool = False
+    ) -> tuple[NDArray[np.int64], Array]:
+        """Return stamps (n,) and planar poses (n, 3) of messages, in metres and radians; log times for zero stamps.
+
+        inverse : whether the transforms point the other way
+        """
+        poses = poses_in(block, layout, item)
+        poses = inverted(poses) if inverse else poses
+        stamps_ns, xyt = gather_stamps_ns(block, layout, item), planar_poses(poses)
+        self.take(poses.position, poses.quat_xyzw)
+        if not stamps_ns.all():
+            self.zero_stamps += _count(stamps_ns == 0)
+            stamps_ns = stamps_or_log_ns(block, layout, item)
+        if "twist" in item.fields:
+            self.twists.take(stamps_ns, xyt, gather(block, layout, item, "twist")[:, PLANAR])
+        return stamps_ns, xyt
 
     def take(self, position: Array, quat_xyzw: Array) -> None:
         """Count the unusable poses of position (n, 3), metres, and quat_xyzw (n, 4)."""

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.odometry_source import Frames
     from odomcorrupt.corruption.patch import Changes
     from odomcorrupt.corruption.path import Drift, PathSource
+    from odomcorrupt.corruption.reorder import TimeOrder
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.model.motion_model import MotionModel
 
@@ -159,14 +160,10 @@ class Outcome:
 
     odometry : name of the odometry source
     channels : those that carried messages
-    restarts : number of jumps back in time
-    late : odometry messages too late to be put in order
-    leaps : odometry messages whose stamp lies far ahead of their neighbours'
+    order : counts of odometry messages that were out of order, and of jumps back in time
     unusable : odometry poses that are not numbers
     added : number of added messages, by topic or edge
     losses : parts of a damaged input that could not be read, one sentence each
-    swapped : odometry messages that arrived after later ones and were sorted
-    zero_stamps : odometry stamps that are zero, replaced by log times
     placed : frame in which a channel's data are given, by channel id, see `frame_of`
     stayed : topics of the TF edges that are not moved, "parent -> child"; true_edges : those with the true motion
     faults : counts of unusable odometry poses
@@ -183,14 +180,10 @@ class Outcome:
     changes: Changes
     drift: Drift
     channels: tuple[Channel, ...]
-    restarts: int
-    late: int
-    leaps: int
+    order: TimeOrder
     unusable: int
     added: Mapping[str, int]
     losses: tuple[str, ...]
-    swapped: int
-    zero_stamps: int
     placed: Mapping[int, str]
     stayed: Mapping[str, str] = field(default_factory=dict)
     true_edges: frozenset[str] = frozenset()
@@ -301,26 +294,16 @@ def outcome_of(transform: Transform, reader: BagReader, model: MotionModel, *, s
     assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
     frames = transform.odometry.frames
     assert frames is not None  # noqa: S101 - as above
-    order, odometry = transform.order, transform.odometry
+    odometry, truth, edge = transform.odometry, transform.truth, transform.run.edge
+    added = {} if truth is None else {f"messages of clean odometry on {truth.topic}": truth.count}
+    added |= {} if edge is None else {f"transforms {edge.frame} -> {frames.odom}": edge.count}
     return Outcome(
         model=model, seed=seed, run=run, odometry=odometry.name, frames=frames, changes=transform.changes, drift=drift,
-        channels=tuple(reader.channels[number] for number in sorted(transform.seen)),
-        restarts=order.restarts, late=order.late, leaps=order.leaps, swapped=order.swapped,
-        unusable=transform.unusable, zero_stamps=odometry.zero_stamps, faults=odometry.faults,
-        added=_added(transform), placed=transform.placed, stayed=dict(transform.stayed),
-        true_edges=frozenset(transform.true_edges), losses=tuple(reader.losses),
+        channels=tuple(reader.channels[number] for number in sorted(transform.seen)), order=transform.order,
+        unusable=transform.unusable, faults=odometry.faults, added=added, placed=transform.placed,
+        stayed=dict(transform.stayed), true_edges=frozenset(transform.true_edges), losses=tuple(reader.losses),
         remarks=tuple(getattr(reader, "remarks", ())), scans=dict(getattr(reader, "scans", {})),
     )  # fmt: skip
-
-
-def _added(transform: Transform) -> Mapping[str, int]:
-    added = {}
-    if transform.truth is not None:
-        added[f"messages of clean odometry on {transform.truth.topic}"] = transform.truth.count
-    edge = transform.run.edge
-    if edge is not None and transform.odometry.frames is not None:
-        added[f"transforms {edge.frame} -> {transform.odometry.frames.odom}"] = edge.count
-    return added
 
 
 def provenance(model: MotionModel, **numbers: int) -> dict[str, str]:

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 
+PLANAR = np.array([0, 1, 5])
+"""Where x, y and yaw stand among x, y, z, roll, pitch, yaw."""
+
+
 class SpatialPoses(NamedTuple):
     """n poses: position (n, 3) in metres, quat_xyzw (n, 4) of any length but zero; fastest with contiguous columns."""
 

@@ -250,10 +250,10 @@ def oddities(outcome: Outcome) -> list[str]:
     """Return warnings about the bag and what could not be read of it."""
     drift = outcome.drift
     said = holonomic_words(outcome.model, drift.sideways_m, drift.distance_m)
-    if outcome.zero_stamps:
-        said.append(f"{outcome.zero_stamps} odometry stamps are zero: log times were used instead.")
-    if outcome.swapped:
-        said.append(f"{outcome.swapped} odometry messages were out of order: they were sorted.")
+    if outcome.faults.zero_stamps:
+        said.append(f"{outcome.faults.zero_stamps} odometry stamps are zero: log times were used instead.")
+    if outcome.order.swapped:
+        said.append(f"{outcome.order.swapped} odometry messages were out of order: they were sorted.")
     said += stream_oddities(
         outcome, follow="the drift", restart="each time the drift began again at zero", late="no noise of their own"
     )
@@ -292,14 +292,14 @@ def stream_oddities(outcome: Outcome, *, follow: str, restart: str, late: str) -
     restart : what happened where time jumped back
     late : how messages were treated that came too late, or whose stamps lie far ahead
     """
-    changes = outcome.changes
+    changes, order = outcome.changes, outcome.order
     numberless = outcome.unusable - outcome.faults.far - outcome.faults.no_orientation
     counted = {
         f"The correction was held for {changes.held} of these, beyond the odometry's last stamp.": changes.held,
-        f"Time jumped back {outcome.restarts} times: {restart}.": outcome.restarts,
+        f"Time jumped back {order.restarts} times: {restart}.": order.restarts,
         f"The pose jumped {outcome.drift.jumps} times: the correction was held across.": outcome.drift.jumps,
-        f"{outcome.late} odometry messages came more than a second late: moved, but {late}.": outcome.late,
-        f"{outcome.leaps} odometry stamps lie far ahead of their neighbours': {late}.": outcome.leaps,
+        f"{order.late} odometry messages came more than a second late: moved, but {late}.": order.late,
+        f"{order.leaps} odometry stamps lie far ahead of their neighbours': {late}.": order.leaps,
         f"{numberless} odometry poses are not numbers: left unchanged.": numberless,
     }
     static = [

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from odomcorrupt.bags.messages import gather, stamps_or_log_ns
+from odomcorrupt.bags.messages import gather, located, stamps_or_log_ns
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.batching.manifest import BEGINNING, read_beginning, read_records
-from odomcorrupt.corruption.odometry_source import PLANAR
 from odomcorrupt.corruption.path import LEG_M
+from odomcorrupt.corruption.se2_on_se3 import PLANAR
 from odomcorrupt.errors import OdomCorruptError, TopicError
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.scoring.errors import Alignment, Failure, Limits, PathErrors, ScoreError, path_errors
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.raw_trajectory import in_order
 from odomcorrupt.study.io.text import is_text, read_text
-from odomcorrupt.study.io.topic_selection import located, parse_address, plain
+from odomcorrupt.study.io.topic_selection import parse_address, plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

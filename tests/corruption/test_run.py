@@ -77,8 +77,9 @@ def test_the_summary_expects_no_noise_of_effects_and_no_place_of_a_lost_heading(
 
 def test_the_summary_counts_stamps_of_zero_and_messages_put_in_order_and_names_the_edges_there_are(tmp_path):
     outcome = corrupt(FIXTURES / "office.mcap", tmp_path / "out.mcap", model())
-    assert (outcome.swapped, outcome.zero_stamps) == (0, 0)
-    text = summary(replace(outcome, swapped=3, zero_stamps=7), "")
+    assert (outcome.order.swapped, outcome.faults.zero_stamps) == (0, 0)
+    outcome.order.swapped, outcome.faults.zero_stamps = 3, 7
+    text = summary(outcome, "")
     assert "7 odometry stamps are zero: log times were used instead." in text
     assert "3 odometry messages were out of order: they were sorted." in text
     assert "TF odom -> base_link" in text

@@ -242,7 +242,7 @@ def test_stamps_of_zero_are_read_as_log_times_and_stay_zero():
     bare = [(ODOM, int(s), odometry(0, p)) for s, p in zip(t, poses, strict=True)]
     shift = (effect_from_values("time_offset", {"offset": 0.1}),)
     out, transform = run(bare, model(effects=shift))
-    assert transform.odometry.zero_stamps == len(t)
+    assert transform.odometry.faults.zero_stamps == len(t)
     assert np.array_equal(poses_of(out)[1], poses_of(run(stamped)[0])[1])
     assert not poses_of(out)[0].any()
 

@@ -6,16 +6,14 @@ import difflib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from odomcorrupt.bags.messages import locate
 from odomcorrupt.corruption.odometry_source import says_truth
 from odomcorrupt.errors import TopicError
 from odomcorrupt.mapping.messages import SCAN
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Iterable
 
-    from odomcorrupt.bags.block import BagReader, Block, Channel
-    from odomcorrupt.bags.messages import Layout
+    from odomcorrupt.bags.block import Channel
 
 
 def plain(name: str) -> str:
@@ -54,14 +52,6 @@ def parse_address(text: str) -> Address:
     if colon and not (frames.strip(".") and "." in frames.strip(".")):
         raise TopicError(f"{text}: names no two frames; write an edge of TF as /tf:map.base_link")
     return Address(topic, frames, static)
-
-
-def located(reader: BagReader, channels: Collection[Channel]) -> Iterator[tuple[Block, Channel, Layout]]:
-    """Yield the layouts of all messages of some channels of a bag, each with its block and channel; see `locate`."""
-    for block in reader.blocks():
-        for channel in channels:
-            for layout in locate(block, channel):
-                yield block, channel, layout
 
 
 Role = Literal["odometry", "truth", "estimate"]

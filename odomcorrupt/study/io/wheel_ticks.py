@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.messages import gather, gather_stamps_ns
+from odomcorrupt.bags.messages import gather, gather_stamps_ns, located
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.motion import step_of
 from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 from odomcorrupt.study.io.raw_trajectory import FEWEST, REPORTED_LAG_S, Samples
-from odomcorrupt.study.io.topic_selection import located, near
+from odomcorrupt.study.io.topic_selection import near
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
