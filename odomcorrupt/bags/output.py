@@ -89,7 +89,12 @@ def place(partial: Path, path: Path, *, overwrite: bool) -> None:
         If the name is taken by now and overwrite is false.
     """
     try:
-        _rename_new(partial, path)
+        if not _rename_flagged(partial, path, _NO_REPLACE):  # the name is reserved first
+            if partial.is_dir():
+                path.mkdir()
+            else:
+                os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+            partial.replace(path)
     except FileExistsError as error:
         if not overwrite:
             raise BagError(
@@ -145,17 +150,6 @@ def _alive(pid: int) -> bool:
         except (ProcessLookupError, OverflowError):
             return False
     return True
-
-
-def _rename_new(partial: Path, path: Path) -> None:
-    """Rename without replacing; where the kernel cannot, the name is reserved first."""
-    if _rename_flagged(partial, path, _NO_REPLACE):
-        return
-    if partial.is_dir():
-        path.mkdir()
-    else:
-        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
-    partial.replace(path)
 
 
 def _replace(partial: Path, path: Path) -> None:

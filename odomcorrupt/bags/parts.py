@@ -14,7 +14,7 @@ from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.record_reader import loss_of
 from odomcorrupt.bags.ros1.reader import Ros1Reader
 from odomcorrupt.bags.rosbag2.bounded_yaml import read_text
-from odomcorrupt.bags.rosbag2.compression import SUFFIXES, Mode, UnpackedFiles, UnpackedMessages
+from odomcorrupt.bags.rosbag2.compression import SUFFIXES, Mode, UnpackedMessages, unpacked_files
 from odomcorrupt.bags.rosbag2.metadata import differences, read_info
 from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader
 from odomcorrupt.bags.source import MCAP, ROS1, SNIFFED, SQLITE, ZSTD, Source, unknown
@@ -209,13 +209,11 @@ class PartsReader:
         self.paths = [path]
         self.parts: list[Part] = []
         self._found = found
-        self._unpacked: UnpackedFiles | None = None
+        self._not_unpacked: list[str] = []
         with ExitStack() as opened:
             files = found.files
             if self.mode == "file":
-                self._unpacked = UnpackedFiles(files, recover=recover)
-                opened.callback(self._unpacked.close)
-                files = self._unpacked.files
+                files = unpacked_files(files, opened, self._not_unpacked, recover=recover)
             failed: BagError | None = None
             for name, file in zip(found.files, files, strict=True):
                 try:
@@ -251,8 +249,7 @@ class PartsReader:
     @property
     def losses(self) -> list[str]:
         """Files, and parts of files, that could not be read, one sentence each."""
-        packed = [] if self._unpacked is None else self._unpacked.losses
-        return [*self._found.losses, *packed, *(loss for part in self.parts for loss in part.losses)]
+        return [*self._found.losses, *self._not_unpacked, *(loss for part in self.parts for loss in part.losses)]
 
     @property
     def remarks(self) -> list[str]:

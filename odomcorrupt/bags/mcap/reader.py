@@ -417,7 +417,7 @@ class McapReader(RecordReader):
         if source.size is not None and (self.complete or recover):
             try:
                 self.summary = read_summary(source, source.size)
-                self._learn_summary()
+                self._read_end(source)
             except BagError:
                 # Losses are reported when the blocks are read; this pass is for the channels only.
                 if not recover:
@@ -614,14 +614,11 @@ class McapReader(RecordReader):
 
     _whole_records = staticmethod(whole_records)
 
-    def _read_end(self, source: Source) -> None:  # noqa: ARG002 - it is read with the data section
-        self._learn_summary()
-
     @property
     def _stated_count(self) -> int | None:
         return self.summary.message_count
 
-    def _learn_summary(self) -> None:
+    def _read_end(self, source: Source) -> None:  # noqa: ARG002 - the summary was read already
         """Register the channels of the summary; those without a schema there are read from the data section."""
         for schema in self.summary.schemas:
             self._register(Op.SCHEMA, schema)

@@ -392,13 +392,9 @@ class McapWriter(OutputContext):
         self._sequences: Counter[int] = Counter()
         self._added_count = 0
 
-    def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
-        """Add a channel with the encoding, QoS and latching of another one; return it with a new id."""
-        return self.add_defined(topic, msgtype, like.encoding, retyped(self._reader, msgtype, like))
-
-    def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
-        """Add a channel with a given definition; return it."""
-        return self._channels.add(topic, msgtype, encoding, definition)
+    def add_channel(self, topic: str, msgtype: str, like: Channel, definition: Definition | None = None) -> Channel:
+        """Add a channel with the encoding, QoS and latching of another one, or of a definition, under a new id."""
+        return self._channels.add(topic, msgtype, like.encoding, definition or retyped(self._reader, msgtype, like))
 
     def contents(self) -> PartContents:
         """Return the message counts and time span written so far."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -19,6 +18,7 @@ from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Sequence
+    from contextlib import ExitStack
 
     from odomcorrupt.bags.block import BagReader, Channel
 
@@ -32,52 +32,41 @@ _DEFAULT_LEVEL = 3
 """That of zstd, and of rosbag2."""
 
 
-class UnpackedFiles:
-    """Decompressed copies of files in a temporary directory, removed when closed.
+def unpacked_files(files: Sequence[Path], stack: ExitStack, losses: list[str], *, recover: bool = False) -> list[Path]:
+    """Return decompressed copies of files in a temporary directory, which the stack removes.
 
-    files : the copies, in the given order
-    losses : what could not be decompressed, one sentence for each file, with recovery
+    losses : with recovery, for what could not be decompressed, one sentence for each file
     """
-
-    def __init__(self, files: Sequence[Path], *, recover: bool = False) -> None:
-        self.files: list[Path] = []
-        self.losses: list[str] = []
-        self._recover = recover
-        self._stack = ExitStack()
-        budget = Budget()
-        try:
-            directory = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="odomcorrupt")))
-            for file in files:
-                name = file.stem if file.suffix.lower() in SUFFIXES else file.name
-                self.files.append(directory / name)
-                self._unpack(file, self.files[-1], budget)
-        except BaseException as error:
-            self._stack.close()
-            if isinstance(error, OSError) and not isinstance(error, BagError):
-                raise BagError(
-                    f"{error.filename or files[0]}: cannot be decompressed into {tempfile.gettempdir()}: "
-                    f"{error.strerror}; TMPDIR names another directory"
-                ) from error
-            raise
-
-    def _unpack(self, file: Path, target: Path, budget: Budget) -> None:
-        with Source.of_file(file) as source, target.open("wb") as out:
-            packed = Packed(source, source.size or 0, "compressed file")
-            budget.require(0, packed.left, str(file))
+    budget = Budget()
+    try:
+        directory = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="odomcorrupt")))
+        copies = [directory / (file.stem if file.suffix.lower() in SUFFIXES else file.name) for file in files]
+        for file, copy in zip(files, copies, strict=True):
             try:
-                for piece in zstd_pieces(packed):
-                    budget.take(len(piece), str(file))
-                    out.write(piece)
+                _unpack(file, copy, budget)
             except (zstandard.ZstdError, EOFError) as error:
                 why = "it is truncated" if isinstance(error, EOFError) else error
                 sentence = f"{file}: zstd cannot decompress it: {why}"
-                if not self._recover:
+                if not recover:
                     raise BagError(f"{sentence}; --recover saves the intact part") from error
-                self.losses.append(sentence)
+                losses.append(sentence)
+    except BagError:
+        raise
+    except OSError as error:
+        raise BagError(
+            f"{error.filename or files[0]}: cannot be decompressed into {tempfile.gettempdir()}: {error.strerror}; "
+            "TMPDIR names another directory"
+        ) from error
+    return copies
 
-    def close(self) -> None:
-        """Remove the copies."""
-        self._stack.close()
+
+def _unpack(file: Path, target: Path, budget: Budget) -> None:
+    with Source.of_file(file) as source, target.open("wb") as out:
+        packed = Packed(source, source.size or 0, "compressed file")
+        budget.require(0, packed.left, str(file))
+        for piece in zstd_pieces(packed):
+            budget.take(len(piece), str(file))
+            out.write(piece)
 
 
 class UnpackedMessages(RewrittenReader):

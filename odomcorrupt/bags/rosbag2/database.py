@@ -7,12 +7,11 @@ import re
 import sqlite3
 import struct
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from odomcorrupt.bags.block import Definition
+from odomcorrupt.bags.block import Channel, Definition
 from odomcorrupt.bags.rosbag2.bounded_yaml import shown
 from odomcorrupt.bags.source import SQLITE, temporary_copy, temporary_folder
 from odomcorrupt.errors import BagError
@@ -45,30 +44,6 @@ _SWITCHES = {
     "SQLITE_DBCONFIG_DEFENSIVE": True,
 }
 """What SQLite advises for files of strangers (https://sqlite.org/security.html); Python sets them from 3.12 on."""
-
-
-@dataclass(frozen=True, slots=True)
-class Topic:
-    """A row of the topics table, with its type's definition where the bag has one.
-
-    digest : RIHS01 type hash, "" in older bags
-    """
-
-    id: int
-    name: str
-    type: str
-    encoding: str
-    qos: str
-    digest: str
-    definition_encoding: str
-    definition_text: bytes
-
-    def definition(self) -> Definition:
-        """Return the definition as in an MCAP written by rosbag2."""
-        metadata = {"offered_qos_profiles": self.qos}
-        if self.digest:
-            metadata["topic_type_hash"] = self.digest
-        return Definition(self.type, self.definition_encoding, self.definition_text, metadata)
 
 
 @contextmanager
@@ -220,8 +195,8 @@ def columns(connection: sqlite3.Connection, table: str) -> list[str]:
     return [str(row[1]) for row in connection.execute(f"PRAGMA table_info({table})")]
 
 
-def read_topics(connection: sqlite3.Connection, path: str, losses: list[str] | None = None) -> list[Topic]:
-    """Return the topics by id.
+def read_topics(connection: sqlite3.Connection, path: str, losses: list[str] | None = None) -> dict[int, Channel]:
+    """Return the topics by id, in all versions of the tables, each with its definition as rosbag2 writes it to an MCAP.
 
     losses : with recovery, for what of the topics and definitions cannot be read, one sentence for each table
 
@@ -243,22 +218,27 @@ def read_topics(connection: sqlite3.Connection, path: str, losses: list[str] | N
         for row in _readable(connection, query, "definitions of message types", path, losses):
             definitions[row[0]] = row[1], row[2]
     names = columns(connection, "topics")
-    topics: dict[int, Topic] = {}
-    for row in _readable(connection, "SELECT * FROM topics ORDER BY id", "topics", path, losses):
-        topic = _topic(dict(zip(names, row, strict=True)), definitions)
-        texts = (topic.name, topic.type, topic.encoding, topic.qos, topic.digest, topic.definition_encoding)
-        sound = isinstance(topic.id, int) and all(isinstance(text, str) for text in texts)
-        if not (sound and isinstance(topic.definition_text, bytes)):
-            raise BagError(f"{path}: topic {topic.name!r} with id {topic.id!r} is invalid; the bag is damaged")
-        if not 0 <= topic.id < _IDS or topic.id in topics:
+    topics: dict[int, Channel] = {}
+    for values in _readable(connection, "SELECT * FROM topics ORDER BY id", "topics", path, losses):
+        of: dict[str, Any] = dict(zip(names, values, strict=True))
+        number, topic, msgtype = (of[name] for name in ("id", "name", "type"))
+        serialised = of.get("serialization_format") or "cdr"
+        qos, digest = (of.get(name) or "" for name in ("offered_qos_profiles", "type_description_hash"))
+        encoding, text = definitions.get(msgtype, ("", b""))
+        sound = all(isinstance(one, str) for one in (topic, msgtype, serialised, qos, digest, encoding))
+        if not (sound and isinstance(number, int) and isinstance(text, bytes)):
+            raise BagError(f"{path}: topic {topic!r} with id {number!r} is invalid; the bag is damaged")
+        if not 0 <= number < _IDS or number in topics:
             raise BagError(
-                f"{path}: topic {topic.name!r} has the id {topic.id}, which is negative, too large or already used; "
-                "the bag is damaged"
+                f"{path}: topic {topic!r} has the id {number}, which is negative, too large or already used; the bag "
+                "is damaged"
             )
-        topics[topic.id] = topic
+        metadata = {"offered_qos_profiles": qos} | ({"topic_type_hash": digest} if digest else {})
+        definition = Definition(msgtype, encoding, text, metadata)
+        topics[number] = Channel(number, topic, msgtype, serialised, raw=definition)
     if losses and not topics:
         raise BagError(losses[-1])
-    return list(topics.values())
+    return topics
 
 
 def _readable(
@@ -271,21 +251,6 @@ def _readable(
         if losses is None:
             raise
         losses.append(f"{path}: sqlite3 reports {shown(error)}: some {what} are lost")
-
-
-def _topic(row: dict[str, Any], definitions: dict[str, tuple[str, bytes]]) -> Topic:
-    """Return a row of the topics table, whose columns depend on the version."""
-    encoding, text = definitions.get(row["type"], ("", b""))
-    return Topic(
-        id=row["id"],
-        name=row["name"],
-        type=row["type"],
-        encoding=row.get("serialization_format") or "cdr",
-        qos=row.get("offered_qos_profiles") or "",
-        digest=row.get("type_description_hash") or "",
-        definition_encoding=encoding,
-        definition_text=text,
-    )
 
 
 def require_whole(path: Path, name: str) -> None:

@@ -17,7 +17,6 @@ from odomcorrupt.bags.block import TABLE, Block, Channel, Framing, Kind
 from odomcorrupt.bags.chunk import BATCH_BYTES
 from odomcorrupt.bags.record_reader import Undecodable, with_readable
 from odomcorrupt.bags.rosbag2.database import (
-    Topic,
     columns,
     read_only,
     read_topics,
@@ -174,6 +173,7 @@ class SqliteReader:
 
     kind: Kind = "sqlite3"
     complete = True
+    channels: Mapping[int, Channel]
 
     def __init__(self, path: Path, name: str | None = None, *, recover: bool = False) -> None:
         self.name = name or str(path)
@@ -197,24 +197,21 @@ class SqliteReader:
                     self.losses += [not_the_end(self.name, end)] if end else []
                     self.readable = whole_pages(self.readable, self._copies, self.name, end)
             with self._reported(), closing(read_only(self.readable, whole=not recover)) as connection:
-                topics = read_topics(connection, self.name, self.losses if recover else None)
+                self.channels = read_topics(connection, self.name, self.losses if recover else None)
                 self.packed = _packed(connection, recover=recover)
                 self.damaged = recover and not _sound(connection)
         except BaseException:
             self.__exit__(None, None, None)
             raise
         self._first_losses = len(self.losses)
-        self.channels: Mapping[int, Channel] = {
-            topic.id: Channel(topic.id, topic.name, topic.type, topic.encoding, raw=topic) for topic in topics
-        }
 
     def _reported(self) -> AbstractContextManager[None]:
         return reported(Path(self.name), recover=self._recover)
 
     def definition(self, channel: Channel) -> Definition:
         """Return the file's definition of a channel's type."""
-        topic: Topic = channel.raw
-        return topic.definition()
+        definition: Definition = channel.raw
+        return definition
 
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
         """Yield the blocks in the order of recording.

@@ -39,14 +39,6 @@ class SqliteOutput:
         self._reader = reader
         self._open: sqlite3.Connection | None = None
 
-    def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
-        """Add a topic with the encoding and QoS of another one; return it with a new id."""
-        return self.add_defined(topic, msgtype, like.encoding, retyped(self._reader, msgtype, like))
-
-    def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
-        """Add a topic with a given definition; return it."""
-        raise NotImplementedError
-
     def settle(self) -> None:
         """Do nothing: rows are written immediately."""
 
@@ -126,9 +118,9 @@ class NewSqliteWriter(SqliteOutput):
         self._provenance: list[tuple[str, Mapping[str, str]]] = []
         self._written = self._added = 0
 
-    def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
-        """Add a topic with a given definition; return it."""
-        return self._channels.add(topic, msgtype, encoding, definition)
+    def add_channel(self, topic: str, msgtype: str, like: Channel, definition: Definition | None = None) -> Channel:
+        """Add a topic with the encoding and QoS of another one, or of a definition; return it with a new id."""
+        return self._channels.add(topic, msgtype, like.encoding, definition or retyped(self._reader, msgtype, like))
 
     def provenance(self, name: str, items: Mapping[str, str]) -> None:
         """Write provenance metadata to the file's metadata table."""
@@ -161,28 +153,26 @@ class NewSqliteWriter(SqliteOutput):
 
     def _row_of(self, channel: int) -> int:
         """Return the id of a channel's row in the topics table, which is added at its first use."""
-        if channel not in self._rows:
-            self._rows[channel] = self._topic_row(*self._channels.described(channel))
-        return self._rows[channel]
-
-    def _topic_row(self, channel: Channel, definition: Definition) -> int:
-        """Return the row of a topic, which has one however many publishers it has."""
-        key = channel.topic, channel.msgtype, channel.encoding
-        if key in self._topics:
-            return self._topics[key]
-        row = self._topics[key] = len(self._topics) + 1
+        if channel in self._rows:
+            return self._rows[channel]
+        one, definition = self._channels.described(channel)
+        key = one.topic, one.msgtype, one.encoding
+        known = key in self._topics  # a topic has one row, however many publishers it has
+        row = self._rows[channel] = self._topics.setdefault(key, len(self._topics) + 1)
+        if known:
+            return row
         if not definition.text:
-            definition = with_common_text(definition, channel.msgtype, channel.encoding)
-        definition = definition._replace(name=channel.msgtype)
-        self._infos.append(TopicInfo(channel.topic, channel.encoding, definition))
+            definition = with_common_text(definition, one.msgtype, one.encoding)
+        definition = definition._replace(name=one.msgtype)
+        self._infos.append(TopicInfo(one.topic, one.encoding, definition))
         digest = definition.metadata.get("topic_type_hash", "")
         values = (row, *key, definition.metadata.get("offered_qos_profiles", ""), digest)
         with reported(self._path, writing=True):
             self._connection.execute("INSERT INTO topics VALUES (?, ?, ?, ?, ?, ?)", values)
-            if channel.msgtype not in self._defined:
-                self._defined.add(channel.msgtype)
+            if one.msgtype not in self._defined:
+                self._defined.add(one.msgtype)
                 text = definition.text.decode(errors="replace")
-                described = (len(self._defined), channel.msgtype, definition.encoding, text, digest)
+                described = (len(self._defined), one.msgtype, definition.encoding, text, digest)
                 self._connection.execute("INSERT INTO message_definitions VALUES (?, ?, ?, ?, ?)", described)
         return row
 
@@ -233,13 +223,14 @@ class SqliteWriter(SqliteOutput):
         self._expected: dict[int, tuple[int, int]] = {}
         self._changes = 0
 
-    def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
-        """Add a topic with a given definition; return it."""
+    def add_channel(self, topic: str, msgtype: str, like: Channel, definition: Definition | None = None) -> Channel:
+        """Add a topic with the encoding and QoS of another one, or of a definition; return it with a new id."""
+        definition = definition or retyped(self._reader, msgtype, like)
         values = {
             "id": max([*self._reader.channels, *self._added], default=0) + 1,
             "name": topic,
             "type": msgtype,
-            "serialization_format": encoding,
+            "serialization_format": like.encoding,
             "offered_qos_profiles": definition.metadata.get("offered_qos_profiles", ""),
             "type_description_hash": definition.metadata.get("topic_type_hash", ""),
         }
@@ -259,7 +250,7 @@ class SqliteWriter(SqliteOutput):
                 )
         identifier = int(str(values["id"]))
         self._added[identifier] = topic
-        return Channel(identifier, topic, msgtype, encoding)
+        return Channel(identifier, topic, msgtype, like.encoding)
 
     def provenance(self, name: str, items: Mapping[str, str]) -> None:
         """Write provenance metadata to the file's metadata table, where there is one."""

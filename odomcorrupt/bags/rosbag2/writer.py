@@ -104,7 +104,7 @@ class Rosbag2Writer:
             return number
         if number not in self._own[part]:
             channel, definition = self._channels.described(number)
-            made = self._writers[part].add_defined(channel.topic, channel.msgtype, channel.encoding, definition)
+            made = self._writers[part].add_channel(channel.topic, channel.msgtype, channel, definition)
             self._own[part][number] = made.id
         return self._own[part][number]
 
