@@ -79,11 +79,9 @@ class Template(NamedTuple):
 
 def read_template(data: bytes, topic: str, msgtype: str, encoding: str) -> Template:
     """Return the layout of a serialised message."""
-    if encoding not in ("ros1", "cdr"):
-        raise UnreadableEncodingError(f"{topic}: encoding {encoding!r} cannot be read; only ros1 and cdr messages can")
+    cursor = cursor_of(data, topic, encoding)
     if msgtype not in PROGRAMS:
         raise BagError(f"{topic}: type {msgtype} has no layout here; choose a topic of {', '.join(sorted(PROGRAMS))}")
-    cursor = _Ros1Cursor(data, topic) if encoding == "ros1" else _CdrCursor(data, topic)
     items = PROGRAMS[msgtype](cursor)
     width = cursor.marked_to
     mask = np.frombuffer(cursor.mask, dtype=np.uint8)[:width].copy()
@@ -91,15 +89,24 @@ def read_template(data: bytes, topic: str, msgtype: str, encoding: str) -> Templ
     return Template(items, structure, mask, cursor.at, cursor.order, encoding == "ros1")
 
 
-class _Cursor:
+def cursor_of(data: bytes, topic: str, encoding: str, advice: str = ", --recover leaves such messages out") -> Cursor:
+    """Return the parser of a serialised message; `advice` is for the error where it is damaged."""
+    if encoding not in ("ros1", "cdr"):
+        raise UnreadableEncodingError(f"{topic}: encoding {encoding!r} cannot be read; only ros1 and cdr messages can")
+    return _Ros1Cursor(data, topic, advice) if encoding == "ros1" else _CdrCursor(data, topic, advice)
+
+
+class Cursor:
     """Parser of a message that marks the structural bytes."""
 
     order = "<"
     header_bytes = 0
+    stamp_kind = "iI"
 
-    def __init__(self, data: bytes, topic: str) -> None:
+    def __init__(self, data: bytes, topic: str, advice: str) -> None:
         self.data = data
         self.topic = topic
+        self.advice = advice
         self.at = 0
         self.mask = bytearray(len(data))
         self.marked_to = 0
@@ -113,8 +120,7 @@ class _Cursor:
         if end > len(self.data):
             raise BagError(
                 f"{self.topic}: a message of {len(self.data)} bytes ends before byte {end}, where its strings and "
-                "counts say a field lies; the bag is damaged or the topic's type is not what it says, --recover leaves "
-                "such messages out"
+                f"counts say a field lies; the bag is damaged or the topic's type is not what it says{self.advice}"
             )
         if structural:
             self.mask[start:end] = b"\xff" * size
@@ -139,6 +145,19 @@ class _Cursor:
         self.align(8)
         return self.take(8 * count, structural=False), count
 
+    def numbers(self, kind: str, count: int = 1) -> list[Any]:
+        """Read this many numbers of one struct type."""
+        size = struct.calcsize(kind)
+        self.align(size)
+        return list(
+            struct.unpack_from(f"{self.order}{count}{kind}", self.data, self.take(size * count, structural=False))
+        )
+
+    def sequence(self, kind: str) -> NDArray[Any]:
+        """Read a sequence of numbers of one numpy type."""
+        count, dtype = self.count(), np.dtype(self.order + kind)
+        return np.frombuffer(self.data, dtype, count, self.take(count * dtype.itemsize, structural=False))
+
     def skip(self, size: int) -> int:
         """Skip a plain number that is not structural; return its offset."""
         self.align(size)
@@ -151,13 +170,14 @@ class _Cursor:
         return self.take(8, structural=False), self.string()
 
 
-class _Ros1Cursor(_Cursor):
+class _Ros1Cursor(Cursor):
     header_bytes = 4  # the sequence number
+    stamp_kind = "II"
 
 
-class _CdrCursor(_Cursor):
-    def __init__(self, data: bytes, topic: str) -> None:
-        super().__init__(data, topic)
+class _CdrCursor(Cursor):
+    def __init__(self, data: bytes, topic: str, advice: str) -> None:
+        super().__init__(data, topic, advice)
         self.take(4, structural=True)
         if data[0] != 0 or data[1] not in _PLAIN_CDR:
             if data[:4] == ZSTD:
@@ -168,7 +188,7 @@ class _CdrCursor(_Cursor):
             said = f"{topic}: CDR representation 0x{data[:2].hex()} is not a plain one"
             if data[0] == 0 and data[1] in _OTHER_CDR:
                 raise UnreadableEncodingError(said)
-            raise BagError(f"{said}; the bag is damaged, --recover leaves such messages out")
+            raise BagError(f"{said}; the bag is damaged{advice}")
         self.order, self.largest = _PLAIN_CDR[data[1]]
         # The options (bytes 2, 3) give the padding after the message: they are not structural.
         self.mask[2:4] = b"\0\0"
@@ -177,13 +197,13 @@ class _CdrCursor(_Cursor):
         self.take((4 - self.at) % min(size, self.largest), structural=False)
 
 
-def _doubles(*, child: bool = False, **counts: int) -> Callable[[_Cursor], tuple[Item, ...]]:
+def _doubles(*, child: bool = False, **counts: int) -> Callable[[Cursor], tuple[Item, ...]]:
     """Return the reader of a message of a header, a child frame if it has one, and float64 numbers.
 
     counts : how many there are of each field, in order; those of a name that begins with _ are passed over
     """
 
-    def read(cursor: _Cursor) -> tuple[Item, ...]:
+    def read(cursor: Cursor) -> tuple[Item, ...]:
         stamp, frame = cursor.header()
         below = cursor.string() if child else ""
         fields = {name: cursor.doubles(count) for name, count in counts.items()}
@@ -195,21 +215,21 @@ def _doubles(*, child: bool = False, **counts: int) -> Callable[[_Cursor], tuple
 _transform = _doubles(child=True, position=3, orientation=4)
 
 
-def _transforms(cursor: _Cursor) -> tuple[Item, ...]:
+def _transforms(cursor: Cursor) -> tuple[Item, ...]:
     items: list[Item] = []
     for _ in range(cursor.count()):
         items += _transform(cursor)
     return tuple(items)
 
 
-def _nav_sat_fix(cursor: _Cursor) -> tuple[Item, ...]:
+def _nav_sat_fix(cursor: Cursor) -> tuple[Item, ...]:
     stamp, frame = cursor.header()
     status = cursor.skip(1)
     cursor.skip(2)  # service
     return (Item(frame, "", stamp, {"lla": cursor.doubles(3), "covariance": cursor.doubles(9)}, status),)
 
 
-def _laser_scan(cursor: _Cursor) -> tuple[Item, ...]:
+def _laser_scan(cursor: Cursor) -> tuple[Item, ...]:
     stamp, frame = cursor.header()
     start = cursor.skip(4)
     cursor.take(24, structural=False)
@@ -218,7 +238,7 @@ def _laser_scan(cursor: _Cursor) -> tuple[Item, ...]:
     return (Item(frame, "", stamp, {"limits": (start + 20, 2), **ranges}, number="f4"),)
 
 
-def _joint_state(cursor: _Cursor) -> tuple[Item, ...]:
+def _joint_state(cursor: Cursor) -> tuple[Item, ...]:
     stamp, frame = cursor.header()
     names = [cursor.string() for _ in range(cursor.count())]
     items = []
@@ -229,14 +249,14 @@ def _joint_state(cursor: _Cursor) -> tuple[Item, ...]:
     return tuple(items)
 
 
-def _wheels(number: str, before: int = 0, count: int = 2) -> Callable[[_Cursor], tuple[Item, ...]]:
+def _wheels(number: str, before: int = 0, count: int = 2) -> Callable[[Cursor], tuple[Item, ...]]:
     """Return the reader of a message with the ticks or speeds of wheels.
 
     number, count : type of these numbers, and how many follow each other
     before : bytes between them and the header; -1 for no header
     """
 
-    def read(cursor: _Cursor) -> tuple[Item, ...]:
+    def read(cursor: Cursor) -> tuple[Item, ...]:
         stamp, frame = cursor.header() if before >= 0 else (-1, "")
         size = int(number[1])
         cursor.align(4 if before > 0 else size)
@@ -250,7 +270,7 @@ def _wheels(number: str, before: int = 0, count: int = 2) -> Callable[[_Cursor],
 
 SCAN = "sensor_msgs/msg/LaserScan"
 
-PROGRAMS: Mapping[str, Callable[[_Cursor], tuple[Item, ...]]] = {
+PROGRAMS: Mapping[str, Callable[[Cursor], tuple[Item, ...]]] = {
     "nav_msgs/msg/Odometry": _doubles(
         child=True, position=3, orientation=4, pose_covariance=36, twist=6, twist_covariance=36
     ),

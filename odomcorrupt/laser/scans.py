@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.bags.messages import SCAN
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.se2 import between, compose
 from odomcorrupt.laser.icp import LEAST_RETURNS
-from odomcorrupt.mapping.messages import CLOUD, SCAN, ScanMessage, read_lasers
+from odomcorrupt.mapping.messages import CLOUD, ScanMessage, read_lasers
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.bags.messages import TRANSFORMS, gather, gather_stamps_ns, locate
+from odomcorrupt.bags.messages import SCAN, SECOND_NS, TRANSFORMS, cursor_of, gather, gather_stamps_ns, locate
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.corruption.odometry_source import plain
 from odomcorrupt.errors import BagError, TopicError
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import Block, Channel
+    from odomcorrupt.bags.messages import Cursor
     from odomcorrupt.geometry.se2 import Array
 
 
@@ -119,11 +120,9 @@ def _matrix(position: Array, quat_xyzw: Array) -> Array:
     )
 
 
-SCAN = "sensor_msgs/msg/LaserScan"
 GRID = "nav_msgs/msg/OccupancyGrid"
 CLOUD = "sensor_msgs/msg/PointCloud2"
 _CLOUD_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-_LITTLE_CDR, _BIG_CDR = (0x01, 0x07, 0x11), (0x00, 0x06, 0x10)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,70 +160,20 @@ class GridMessage:
     cells: NDArray[np.int8]
 
 
-class _Cursor:
-    """Sequential reader of one message."""
-
-    def __init__(self, data: bytes, topic: str, encoding: str) -> None:
-        self._data, self._topic = data, topic
-        self._cdr = encoding == "cdr"
-        self._at, self._order, self._align = 0, "<", 1
-        if encoding not in ("cdr", "ros1"):
-            raise BagError(f"{topic}: encoding {encoding!r} cannot be read; only ros1 and cdr messages can")
-        if self._cdr:
-            kind = self._take(4)[1]
-            if kind not in (*_LITTLE_CDR, *_BIG_CDR):
-                raise BagError(f"{topic}: CDR representation 0x{kind:02x} is not a plain one; it cannot be read")
-            self._order = "<" if kind in _LITTLE_CDR else ">"
-            # XCDR2 aligns to four bytes at most
-            self._align = 8 if kind in (0x00, 0x01) else 4
-
-    def _take(self, size: int) -> bytes:
-        piece = self._data[self._at : self._at + size]
-        if len(piece) < size:
-            raise BagError(
-                f"{self._topic}: a message of {len(self._data)} bytes ends before byte {self._at + size}, where its "
-                "counts say a field lies; the bag is damaged or the topic's type is not what it says"
-            )
-        self._at += size
-        return piece
-
-    def numbers(self, kind: str, count: int = 1) -> list[float]:
-        """Read this many numbers of one struct type."""
-        size = struct.calcsize(kind)
-        if self._cdr:
-            self._take((4 - self._at) % min(size, self._align))
-        values = struct.unpack(f"{self._order}{count}{kind}", self._take(size * count))
-        return list(values)
-
-    def whole(self, kind: str = "I") -> int:
-        """Read one integer."""
-        return int(self.numbers(kind)[0])
-
-    def text(self) -> str:
-        """Read a string; CDR terminates it with a zero byte."""
-        return self._take(self.whole()).removesuffix(b"\0").decode(errors="replace")
-
-    def sequence(self, kind: str) -> NDArray[np.generic]:
-        """Read a sequence of numbers of one numpy type."""
-        dtype = np.dtype(self._order + kind)
-        count = self.whole()
-        return np.frombuffer(self._take(count * dtype.itemsize), dtype)
-
-    def header(self) -> tuple[int, str]:
-        """Read a std_msgs/Header: stamp and frame."""
-        if not self._cdr:
-            self.whole()
-        seconds, nanoseconds = self.whole("i" if self._cdr else "I"), self.whole()
-        return seconds * 1_000_000_000 + nanoseconds, self.text()
+def _header(cursor: Cursor) -> tuple[int, str]:
+    """Read a std_msgs/Header: stamp, nanoseconds, and frame."""
+    at, frame = cursor.header()
+    seconds, nanoseconds = struct.unpack_from(cursor.order + cursor.stamp_kind, cursor.data, at)
+    return seconds * SECOND_NS + nanoseconds, frame
 
 
 def read_scan(data: bytes, topic: str, encoding: str) -> ScanMessage:
     """Read a laser scan."""
-    cursor = _Cursor(data, topic, encoding)
-    stamp, frame = cursor.header()
+    cursor = cursor_of(data, topic, encoding, "")
+    stamp_ns, frame = _header(cursor)
     first, _, step, time_step, scan_time, nearest, farthest = cursor.numbers("f", 7)
     ranges = cursor.sequence("f4").astype(np.float64)
-    return ScanMessage(stamp, frame, first, step, time_step, nearest, farthest, ranges, scan_time)
+    return ScanMessage(stamp_ns, frame, first, step, time_step, nearest, farthest, ranges, scan_time)
 
 
 def read_cloud(data: bytes, topic: str, encoding: str) -> CloudMessage:
@@ -235,16 +184,15 @@ def read_cloud(data: bytes, topic: str, encoding: str) -> CloudMessage:
     BagError
         If the message is damaged, or has no x, y and z of 4 or 8 bytes.
     """
-    cursor = _Cursor(data, topic, encoding)
-    stamp, frame = cursor.header()
-    height, width = cursor.whole(), cursor.whole()
+    cursor = cursor_of(data, topic, encoding, "")
+    stamp_ns, frame = _header(cursor)
+    height, width = cursor.numbers("I", 2)
     fields = {}
-    for _ in range(cursor.whole()):
-        name, offset, kind = cursor.text(), cursor.whole(), cursor.whole("B")
-        cursor.whole()
+    for _ in range(cursor.count()):
+        name, (offset,), (kind,), _ = cursor.string(), cursor.numbers("I"), cursor.numbers("B"), cursor.numbers("I")
         fields[name] = (offset, _CLOUD_KINDS.get(kind, ""))
-    order = ">" if cursor.whole("B") else "<"
-    step, _ = cursor.whole(), cursor.whole()
+    order = ">" if cursor.numbers("B")[0] else "<"
+    step, _ = cursor.numbers("I", 2)
     raw = cursor.sequence("u1")
     if not all(fields.get(name, (0, ""))[1] in ("f4", "f8") for name in "xyz"):
         found = ", ".join(fields) or "none"
@@ -263,7 +211,7 @@ def read_cloud(data: bytes, topic: str, encoding: str) -> CloudMessage:
 
     xyz = np.stack([column(name) for name in "xyz"], axis=1)
     timed = next((n for n in ("t", "time", "timestamp", "time_offset", "offset_time") if fields.get(n, (0, ""))[1]), "")
-    return CloudMessage(stamp, frame, xyz, _after_s(column(timed), fields[timed][1]) if timed else np.zeros(count))
+    return CloudMessage(stamp_ns, frame, xyz, _after_s(column(timed), fields[timed][1]) if timed else np.zeros(count))
 
 
 def _after_s(times: Array, kind: str) -> Array:
@@ -276,11 +224,11 @@ def _after_s(times: Array, kind: str) -> Array:
 
 def read_grid(data: bytes, topic: str, encoding: str) -> GridMessage:
     """Read an occupancy grid."""
-    cursor = _Cursor(data, topic, encoding)
+    cursor = cursor_of(data, topic, encoding, "")
     _, frame = cursor.header()
     cursor.numbers("I", 2)  # map_load_time
     resolution = cursor.numbers("f")[0]
-    width, height = cursor.whole(), cursor.whole()
+    width, height = cursor.numbers("I", 2)
     pose = np.array(cursor.numbers("d", 7))
     cells = cursor.sequence("i1").astype(np.int8)
     if cells.size != width * height:

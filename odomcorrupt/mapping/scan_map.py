@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.bags.messages import SCAN
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import increments, rotate
-from odomcorrupt.mapping.messages import SCAN, ScanMessage, read_lasers
+from odomcorrupt.mapping.messages import ScanMessage, read_lasers
 from odomcorrupt.mapping.occupancy_grid import Canvas, canvas_for, draw_map
 from odomcorrupt.summary import Line, Summary
 

@@ -108,7 +108,7 @@ def test_grid_that_makes_no_sense_and_cdr_that_is_not_plain_are_reported():
     turn = whole.index(struct.pack("<2d", np.sin(0.2), np.cos(0.2)))
     with pytest.raises(BagError, match="the message is damaged"):
         read_grid(whole[:turn] + bytes(16) + whole[turn + 16 :], "/map", "cdr")
-    with pytest.raises(BagError, match="CDR representation 0x03 is not a plain one"):
+    with pytest.raises(BagError, match="CDR representation 0x0003 is not a plain one"):
         read_scan(b"\0\3" + scan([1.0])[2:], "/scan", "cdr")
 
 

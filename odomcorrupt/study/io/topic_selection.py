@@ -6,9 +6,9 @@ import difflib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from odomcorrupt.bags.messages import SCAN
 from odomcorrupt.corruption.odometry_source import says_truth
 from odomcorrupt.errors import TopicError
-from odomcorrupt.mapping.messages import SCAN
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
