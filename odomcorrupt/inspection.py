@@ -12,11 +12,10 @@ import numpy as np
 from odomcorrupt.bags.messages import TRANSFORMS, gather, locate
 from odomcorrupt.corruption.odometry_source import (
     ENCODINGS,
-    GLOBAL_FRAMES,
     ODOMETRY,
-    Frames,
     contains_truth,
     frame_of,
+    frames_of,
     localisation_words,
     plain,
     says_truth,
@@ -43,6 +42,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import BagReader, Block, Channel
     from odomcorrupt.bags.messages import Item, Layout
+    from odomcorrupt.corruption.odometry_source import Frames
     from odomcorrupt.geometry.se2 import Array
 
 
@@ -347,7 +347,8 @@ def summarise(
     """
     odom_topic = odom_topic and odom_topic.partition("@")[0]
     source = _source(scan, odom_topic)
-    frames = _frames(source, odom_frame, base_frame)
+    stated = ("", "") if source is None else (source.frame, source.child)
+    frames = frames_of(*stated, odom_frame, base_frame)
     drives, home = scan.odometry, None if source is None else source.topic
     if not drives and frames is not None:
         edge = _edge_that_drives(scan, frames, odom_topic)
@@ -485,14 +486,6 @@ def _source(scan: BagScan, asked: str | None) -> PathRecord | None:
         return None
     topics = ", ".join(o.topic for o in scan.odometry) or "no topic"
     raise TopicError(f"{asked}: is not a nav_msgs/Odometry topic with messages ({topics} is); name another one")
-
-
-def _frames(source: PathRecord | None, odom: str | None, base: str | None) -> Frames | None:
-    stated = "" if source is None else plain(source.frame)
-    if odom is None and (not stated or stated.rsplit("/", 1)[-1] in GLOBAL_FRAMES):
-        return None
-    child = plain(base if base is not None else "" if source is None else source.child)
-    return Frames(stated if odom is None else plain(odom), child or None)
 
 
 def _edge_that_drives(scan: BagScan, frames: Frames, topic: str | None) -> PathRecord | None:

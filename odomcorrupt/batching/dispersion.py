@@ -64,13 +64,6 @@ class SpreadReport:
     concentration: float
 
 
-class _Quiet:
-    """Source of standard normals that are all zero."""
-
-    def standard_normal(self, shape: tuple[int, int]) -> Array:
-        return np.zeros(shape)
-
-
 def measure(directory: Path) -> SpreadReport:
     """Return the dispersion of the runs of a batch directory, measured and predicted from its clean path.
 
@@ -120,7 +113,7 @@ def measure(directory: Path) -> SpreadReport:
 def _quiet(model: MotionModel, clean: TumPath) -> PathSamples:
     """Return the path with the effects but zero noise, and the sums of the noise's variances along it."""
     # the same path with zero in place of every random number
-    return NoisyPath(model, 0, 0, normals=_Quiet()).feed(clean.stamps_ns, clean.xyt)
+    return NoisyPath(model, 0, 0, normals=lambda n: np.zeros((n, 4))).feed(clean.stamps_ns, clean.xyt)
 
 
 def _covariance(model: MotionModel, spreads: tuple[Spread, ...], clean: TumPath, centre: PathSamples) -> Array:

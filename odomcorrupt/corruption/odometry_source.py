@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.bags.messages import TRANSFORMS
+from odomcorrupt.bags.messages import TRANSFORMS, locate
 from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.reorder import Arrivals
 from odomcorrupt.errors import TopicError
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, Block, Channel
-    from odomcorrupt.bags.messages import Item, Layout
+    from odomcorrupt.bags.messages import Layout
 
 
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -113,28 +113,6 @@ def find_odometry(channels: Iterable[Channel], asked: str | None, bag: str, usua
     return same[0] if same else topics[0]
 
 
-def resolve_frames(item: Item, topic: str, *, odom_frame: str | None, base_frame: str | None) -> Frames:
-    """Return the frames of the odometry source, or those requested, without leading slashes.
-
-    item : first message of the odometry, or transform of its edge
-    topic : its topic, for error messages
-    odom_frame, base_frame : requested frames; None for those of the message
-
-    Raises
-    ------
-    TopicError
-        If the odometry's frame is a global one, and no odom frame was requested.
-    """
-    stated = plain(item.frame_id)
-    if odom_frame is None and (not stated or last_part(stated) in GLOBAL_FRAMES):
-        raise TopicError(
-            f"{topic}: its messages are in frame {item.frame_id!r}, which is not an odometry frame; name the frame "
-            "that is to drift with --odom-frame"
-        )
-    base = plain(base_frame if base_frame is not None else item.child_frame_id)
-    return Frames(stated if odom_frame is None else plain(odom_frame), base or None)
-
-
 def side_of(parent: str, child: str, frames: Frames) -> Side | None:
     """Return the side from which the correction acts on the transform parent -> child; None where it does not.
 
@@ -186,6 +164,22 @@ def localisation_words(edges: Mapping[str, str], frames: Frames, channels: Itera
 def last_part(frame: str) -> str:
     """Return a frame, topic or type without its namespace."""
     return frame.rsplit("/", 1)[-1]
+
+
+def has_poses(channel: Channel) -> bool:
+    """Return whether a channel's messages are odometry or transforms that can be read."""
+    return channel.encoding in ENCODINGS and (channel.msgtype == ODOMETRY or channel.msgtype in TRANSFORMS)
+
+
+def frames_of(stated: str, child: str, odom_frame: str | None, base_frame: str | None) -> Frames | None:
+    """Return the frames of odometry, or those requested; None if its own frame is a global one, and none was requested.
+
+    stated, child : frames of its messages
+    """
+    if odom_frame is None and (not plain(stated) or last_part(plain(stated)) in GLOBAL_FRAMES):
+        return None
+    base = plain(base_frame if base_frame is not None else child)
+    return Frames(plain(stated if odom_frame is None else odom_frame), base or None)
 
 
 class OdometrySource:
@@ -295,6 +289,12 @@ class OdometrySource:
         channels = self._channels.values()
         return tree_of(topic, channels) == tree_of(channel.topic, channels)
 
+    def read_block(self, block: Block, reader: BagReader) -> Arrivals:
+        """Return the source's poses in a block of a bag, as they arrived by the log times."""
+        own = [reader.channels[number] for number in sorted(block.present())]
+        parts = [(channel, layout) for channel in own if has_poses(channel) for layout in locate(block, channel)]
+        return self.read(block, parts, block.table["log_ns"])
+
     def read(self, block: Block, parts: list[tuple[Channel, Layout]], time_ns: NDArray[np.int64]) -> Arrivals:
         """Return the source's poses in a block, in the order of its messages."""
         if self.frames is None and not self.by_edge:
@@ -331,10 +331,13 @@ class OdometrySource:
         """Set topic and frames from the first odometry message, or from the TF edge where there is none."""
         if driving := [(channel, layout) for channel, layout in parts if self.is_odometry(channel)]:
             channel, layout = min(driving, key=lambda part: int(part[1].rows[0]))
-            self.topic = channel.topic
-            self.frames = resolve_frames(
-                layout.items[0], channel.topic, odom_frame=self._odom_frame, base_frame=self._base_frame
-            )
+            self.topic, item = channel.topic, layout.items[0]
+            self.frames = frames_of(item.frame_id, item.child_frame_id, self._odom_frame, self._base_frame)
+            if self.frames is None:
+                raise TopicError(
+                    f"{self.topic}: its messages are in frame {item.frame_id!r}, which is not an odometry frame; name "
+                    "the frame that is to drift with --odom-frame"
+                )
         elif self._odom_frame is not None and self._base_frame is not None and self._asked is not None:
             asked = plain(self._asked)
             if any(channel.msgtype in TRANSFORMS and plain(channel.topic) == asked for channel, _ in parts):

@@ -8,7 +8,7 @@ over from the batch before, and normals are drawn row by row, so any division in
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
@@ -27,6 +27,8 @@ from odomcorrupt.model.noise_laws import Variances, variances
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
@@ -197,19 +199,19 @@ class PathSource(Protocol):
 class NoisyPath:
     """Noisy path of one run; after a restart of time a new path continues the same random streams.
 
-    normals : source of the noise's standard normals (n, 4): of rot1, trans, across, rot2; instead of the run's own
-        stream, something with `standard_normal(size)`
+    normals : function of n that returns the noise's standard normals (n, 4) instead of the run's own stream: of rot1,
+        trans, across, rot2
     covariance : whether the samples carry the sums that covariances follow from, which takes 40 % of the time
     systematic : the model's systematic effects, shared with other runs of the same drive
     """
 
     def __init__(
-        self, model: MotionModel, seed: int, run: int = 0, *, normals: Any = None, covariance: bool = True, systematic:
-        SystematicEffects | None = None,
+        self, model: MotionModel, seed: int, run: int = 0, *, normals: Callable[[int], Array] | None = None,
+        covariance: bool = True, systematic: SystematicEffects | None = None,
     ) -> None:  # fmt: skip
         self._noise, self._law = model.noise, model.noise.law
         self._covariance = covariance
-        self._rng: Any = stream(seed, run, "noise") if normals is None else normals
+        self._rng, self._given = stream(seed, run, "noise"), normals
         self._effects = EffectInverse(model, seed, run, systematic)
         self._random_covariance = RandomEffectCovariance()
         self.restart()
@@ -258,7 +260,7 @@ class NoisyPath:
         driven = Increments(steps.ds_m + added[:, 0], steps.dl_m + added[:, 1], turn + added[:, 2])
         grown = noise_variances(self._noise, driven, driven_s, self._growth)
         v = grown.variances
-        normals = self._effects.drawn(self._rng.standard_normal((n, 4)))
+        normals = self._effects.drawn(self._rng.standard_normal((n, 4)) if self._given is None else self._given(n))
         draws = normals * np.sqrt(np.stack((v.rot1, v.trans, v.across, v.rot2), axis=1))
 
         rot1, rot2 = draws[:, 0], draws[:, 3]

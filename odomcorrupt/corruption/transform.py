@@ -25,6 +25,7 @@ from odomcorrupt.corruption.odometry_source import (
     contains_truth,
     find_odometry,
     frame_of,
+    has_poses,
     localisation_side_of,
     plain,
     says_truth,
@@ -326,7 +327,7 @@ class Transform:
     def may_move(self, channel: Channel) -> bool:
         """Return whether a channel's messages may be changed."""
         noisy = channel.encoding in ENCODINGS and channel.msgtype in self.run.noise.msgtypes
-        return noisy or _has_poses(channel) or channel.id in self._follows
+        return noisy or has_poses(channel) or channel.id in self._follows
 
     def relations(self, reader: BagReader) -> dict[int, Relations]:
         """Return how other sensors follow the odometry, by channel id, from a pass over the bag.
@@ -342,14 +343,12 @@ class Transform:
         source.prepare(reader, reader.name)
 
         def poses_of(block: Block) -> Array:
-            own = [reader.channels[number] for number in sorted(block.present())]
-            parts = [(c, layout) for c in own if _has_poses(c) for layout in locate(block, c)]
-            found = source.read(block, parts, block.table["log_ns"])
+            found = source.read_block(block, reader)
             return np.column_stack((found.stamps_ns * np.float64(1e-9), found.xyt))
 
         channels = reader.channels.values()
         sensors = [c for c in channels if can_be_consistent(c) and source.shares_tree(c)]
-        return find_relations(reader, sensors, poses_of, {c.id for c in channels if _has_poses(c)})
+        return find_relations(reader, sensors, poses_of, {c.id for c in channels if has_poses(c)})
 
     def _take(self, block: Block, reader: BagReader) -> _Held:
         """Read the odometry of a block and extend C(t)."""
@@ -366,7 +365,7 @@ class Transform:
             channel = reader.channels[number]
             if self.may_move(channel):
                 parts += [(channel, layout) for layout in locate(block, channel)]
-        if poses := [part for part in parts if _has_poses(part[0])]:
+        if poses := [part for part in parts if has_poses(part[0])]:
             self._add(self.odometry.read(block, poses, time_ns))
         if len(time_ns):
             self._now_ns = int(time_ns[-1])
@@ -410,7 +409,7 @@ class Transform:
     def _find_targets(self, held: _Held, frames: Frames) -> list[Target]:
         found = []
         for channel, layout in held.parts:
-            if not _has_poses(channel):
+            if not has_poses(channel):
                 times = stamps_or_log_ns(held.block, layout, layout.items[0]), held.time_ns[layout.rows]
                 follows = self._follows.get(channel.id, {})
                 found.append(Target(channel, layout, layout.items[0], "left", *times, follows))
@@ -433,8 +432,12 @@ class Transform:
         """Return from which side the correction acts on an item; None where it stays."""
         driving = self.odometry.is_odometry(channel)
         if self.options.new_odom_frame is not None:
-            if channel.msgtype in TRANSFORMS:
-                self._refuse_parent(channel, item, frames)
+            ends = item.frame_id, item.child_frame_id
+            if channel.msgtype in TRANSFORMS and localisation_side_of(*ends, frames) == "right":
+                raise TopicError(
+                    f"{channel.topic}: {frames.odom} already has a parent, {item.frame_id}, and a frame has but one; "
+                    "correct the odometry itself, with --tf odometry"
+                )
             return "left" if driving else None
         if channel.msgtype == ODOMETRY:
             here = plain(item.frame_id) == frames.odom and not says_truth(channel.topic)
@@ -443,13 +446,6 @@ class Transform:
         if side is None and self.options.keep_localisation:
             side = localisation_side_of(item.frame_id, item.child_frame_id, frames)
         return side
-
-    def _refuse_parent(self, channel: Channel, item: Item, frames: Frames) -> None:
-        if localisation_side_of(item.frame_id, item.child_frame_id, frames) == "right":
-            raise TopicError(
-                f"{channel.topic}: {frames.odom} already has a parent, {item.frame_id}, and a frame has but one; "
-                "correct the odometry itself, with --tf odometry"
-            )
 
     def _patch(self, held: _Held) -> Block:
         targets = self._targets(held)
@@ -462,7 +458,3 @@ class Transform:
         if self.odometry.frames is not None:
             self.run.publish(held.block, driving, self.odometry.frames.odom)
         return held.block
-
-
-def _has_poses(channel: Channel) -> bool:
-    return channel.encoding in ENCODINGS and (channel.msgtype == ODOMETRY or channel.msgtype in TRANSFORMS)

@@ -25,9 +25,8 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.bags.messages import TRANSFORMS, locate
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.corruption.odometry_source import ENCODINGS, ODOMETRY, OdometrySource
+from odomcorrupt.corruption.odometry_source import OdometrySource
 from odomcorrupt.corruption.path import (
     JUMP_MIN_S,
     JUMP_SPEED,
@@ -453,8 +452,8 @@ class FreePath:
     ) -> None:
         self._plan, self._space = plan, within.space
         self._runs = FreeRuns(model, within, seed=seed, runs=range(run, run + 1), plan=plan)
-        self._accepted = _Replay()
-        self._path = NoisyPath(model, seed, run, normals=self._accepted)
+        self._accepted = np.zeros((0, 4))
+        self._path = NoisyPath(model, seed, run, normals=lambda _: self._accepted)
         self.increments = self.astray = 0
 
     @property
@@ -486,19 +485,9 @@ class FreePath:
         """
         if len(stamps_ns):
             self.increments += len(stamps_ns) - (not self._runs.begun)
-            self._accepted.rows = self._runs.feed(stamps_ns, clean_xyt).normals[:, 0]
+            self._accepted = self._runs.feed(stamps_ns, clean_xyt).normals[:, 0]
             self.astray += int(np.count_nonzero(~self._space.free(clean_xyt[:, :2])))
         return self._path.feed(stamps_ns, clean_xyt)
-
-
-class _Replay:
-    """Source of normals that were accepted for the next increments."""
-
-    rows: Array
-
-    def standard_normal(self, size: tuple[int, int]) -> Array:
-        """Return the accepted normals, as many as requested."""
-        return self.rows.reshape(size)
 
 
 OCCUPIED_PERCENT, FREE_PERCENT = 65, 25
@@ -564,9 +553,7 @@ def read_odom_frame(path: Path, options: Options, learned_from: str | None = Non
     with open_reader(path, recover=recover) as reader:
         source.prepare(reader, reader.name)
         for block in reader.blocks():
-            channels = [reader.channels[int(number)] for number in np.unique(block.table["channel"])]
-            wanted = [c for c in channels if c.encoding in ENCODINGS and c.msgtype in (ODOMETRY, *TRANSFORMS)]
-            source.read(block, [(c, layout) for c in wanted for layout in locate(block, c)], block.table["log_ns"])
+            source.read_block(block, reader)
             if source.frames is not None:
                 return source.frames.odom
         raise TopicError(f"{reader.name}: {source.name} has no message with a pose{source.elsewhere}")
