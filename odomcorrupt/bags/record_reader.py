@@ -88,7 +88,7 @@ class RecordReader(ABC):
     """Base class of readers of a file or pipe of records; see `BagReader`.
 
     losses : parts that could not be read, one sentence each, with recovery
-    count : number of messages of the last pass
+    count : number of messages of the last pass; stated : that which the bag states, None if it does not
     sparse : whether blocks of uncompressed chunks need not have the bytes of messages that are not asked for
     """
 
@@ -102,6 +102,7 @@ class RecordReader(ABC):
         self.complete = path is not None and source.size is not None
         self.losses: list[str] = []
         self.count = 0
+        self.stated: int | None = None
         self._recover = recover
         self._source = self._reading = source
         self._undecodable = Undecodable()
@@ -146,11 +147,10 @@ class RecordReader(ABC):
             if not self._recover:
                 self._read_end(self._source)
         self.losses += self._undecodable.losses(self.name)
-        stated = self._stated_count
-        if stated is not None and self.count < stated and not self.losses:
+        if self.stated is not None and self.count < self.stated and not self.losses:
             self._lose(
                 BagError(
-                    f"{self.name}: its {self._stated_by} {stated} messages, but it holds {self.count}: the bag is "
+                    f"{self.name}: its {self._stated_by} {self.stated} messages, but it holds {self.count}: the bag is "
                     "damaged; --recover saves those"
                 )
             )
@@ -248,11 +248,6 @@ class RecordReader(ABC):
     @abstractmethod
     def _read_end(self, source: Source) -> None:
         """Read what follows the blocks on a pipe."""
-
-    @property
-    @abstractmethod
-    def _stated_count(self) -> int | None:
-        """Number of messages that the bag states, if it does."""
 
     def __enter__(self) -> Self:
         return self

@@ -27,7 +27,6 @@ from odomcorrupt.effects.wheels import (
     body_of,
     error_of_each_wheel,
     needed_track_m,
-    of_each_wheel,
     on_every_track,
     rims_of,
     track_parameter,
@@ -538,7 +537,9 @@ _SPEEDS = (0.4, 0.6, 0.75, 0.88)
 CountsLost = gain(
     "counts_lost",
     "encoder counts are lost above a speed: fast wheels go farther than is counted",
-    lambda it, m: of_each_wheel(it, m, lambda u: it.part * np.sign(u) * np.maximum(np.abs(u) - it.speed, 0.0)),
+    lambda it, m: tuple(error_of_each_wheel(
+        lambda u: it.part * np.sign(u) * np.maximum(np.abs(u) - it.speed, 0.0), m.v, m.omega, it.track or m.track_m
+    ).T),
     About(
         equation="f_wheel = part (abs(u) - speed) sign(u) where abs(u) > speed",
         typical="from half of full speed on where interrupts of a microcontroller count a fast encoder (an estimate)",

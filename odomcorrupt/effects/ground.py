@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from odomcorrupt.drive_types import PIVOTING
-from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, choice, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, choice, gain, parameter, stacked
 from odomcorrupt.effects.gears import AT_REST, crossed
 from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, scaled, wheel_motions
 
@@ -208,43 +208,41 @@ def _free_edges(along: Array, beside: NDArray[np.bool_], half: float) -> tuple[f
     return float(bottom), float(top)
 
 
-@dataclass(frozen=True, slots=True)
-class Slope(Effect):
-    """f = creep abs(v) in a fixed direction of the truth frame, rotated into the body frame.
+def _downhill(it: Any, m: Motion) -> tuple[Array, Array, float]:
+    """Return f: the creep in the body frame."""
+    speed, away = it.creep * np.abs(m.v), it.direction - m.theta
+    return speed * np.cos(away), speed * np.sin(away), 0.0
 
-    Two of them at right angles span all directions linearly; a negative creep is the opposite direction, so that half a
-    turn of directions is tried.
-    """
 
-    name = "slope"
-    odd = True
-    summary = "the robot creeps in one direction of the world as it drives"
-    reads_truth = True
-    reads_places = True
-    about = About(
+def _forwards(it: Any) -> Any:
+    """Return the equivalent effect with positive creep."""
+    turned = it.direction + (math.pi if it.creep < 0.0 else 0.0)
+    return replace(it, creep=abs(it.creep), direction=math.remainder(turned, 2.0 * math.pi))
+
+
+# Two of them at right angles span all directions linearly; a negative creep is the opposite direction, so that half a
+# turn of directions is tried.
+Slope = gain(
+    "slope",
+    "the robot creeps in one direction of the world as it drives",
+    _downhill,
+    About(
         equation="f = creep abs(v) (cos(direction - theta), sin(direction - theta), 0)",
         typical="0.3 to 3 % of the way on ramps of 2 to 5 degrees (an estimate)",
         source="slip under a constant force, with a linear tyre (Rajamani, Vehicle Dynamics and Control)",
         confused_with=("mount_yaw", "wheel_scale", "region_slip"),
         drive="drive the same place in all four headings",
-    )
-
-    creep: float = parameter("", "creep per metre driven", low=-0.2, high=0.2, typical=0.01)
-    direction: float = parameter(
+    ),
+    odd=True,
+    reads_truth=True,
+    reads_places=True,
+    plain=_forwards,
+    creep=parameter("", "creep per metre driven", low=-0.2, high=0.2, typical=0.01),
+    direction=parameter(
         "rad", "heading it creeps towards, in the truth frame", low=-6.29, high=6.29, typical=1.0, amplitude=False,
         trials=tuple(math.pi * i / 12 for i in range(12)),
-    )  # fmt: skip
-
-    def plain(self) -> Self:
-        """Return the equivalent effect with positive creep."""
-        turned = self.direction + (math.pi if self.creep < 0.0 else 0.0)
-        return replace(self, creep=abs(self.creep), direction=math.remainder(turned, 2.0 * math.pi))
-
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: the downhill creep in the body frame."""
-        speed = self.creep * np.abs(motion.v)
-        away = self.direction - motion.theta
-        return TwistError(stacked(speed * np.cos(away), speed * np.sin(away), 0.0, motion.v), state)
+    ),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

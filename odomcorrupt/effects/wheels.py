@@ -108,11 +108,6 @@ def error_of_each_wheel(error: Callable[[Array], Array], v: Array, omega: Array,
     return stacked(part * v, 0.0, part * omega, v)
 
 
-def of_each_wheel(effect: Any, motion: Motion, error: Callable[[Array], Array]) -> tuple[Array, Array, Array]:
-    """Return f along, across and in yaw of an error of each wheel, on the effect's own track or the robot's."""
-    return tuple(error_of_each_wheel(error, motion.v, motion.omega, effect.track or motion.track_m).T)
-
-
 def trial_speeds(
     motions: Sequence[Motion], quantile: float, parts: Sequence[float], low: float, high: float
 ) -> list[float]:

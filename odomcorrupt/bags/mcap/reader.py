@@ -417,6 +417,7 @@ class McapReader(RecordReader):
         if source.size is not None and (self.complete or recover):
             try:
                 self.summary = read_summary(source, source.size)
+                self.stated = self.summary.message_count
                 self._read_end(source)
             except BagError:
                 # Losses are reported when the blocks are read; this pass is for the channels only.
@@ -569,6 +570,7 @@ class McapReader(RecordReader):
                 if (opcode, length) == (Op.FOOTER, FOOTER_BYTES) and int.from_bytes(content[:8], "little") == end:
                     require_summary_crc(content, crc, self.name)
                 self.summary.keep(opcode, content, self.name, private)
+                self.stated = self.summary.message_count
             if source.read(len(MAGIC), "magic at the end") != MAGIC:
                 raise BagError(f"{self.name}: does not end as an MCAP does; the bag is damaged")  # noqa: TRY301
             source.require_end()
@@ -613,10 +615,6 @@ class McapReader(RecordReader):
         return Block(data, contents.table, framing, ends=part.ends)
 
     _whole_records = staticmethod(whole_records)
-
-    @property
-    def _stated_count(self) -> int | None:
-        return self.summary.message_count
 
     def _read_end(self, source: Source) -> None:  # noqa: ARG002 - the summary was read already
         """Register the channels of the summary; those without a schema there are read from the data section."""

@@ -190,7 +190,7 @@ class Ros1Reader(RecordReader):
         if source.read(len(MAGIC), "magic") != MAGIC:
             raise BagError(f"{self.name}: does not begin as a ROS 1 bag of version 2.0 does")
         self.header_bytes = 0
-        self._index_at = self._chunk_count = self._connection_count = self._stated = self._seen = 0
+        self._index_at = self._chunk_count = self._connection_count = self.stated = self._seen = 0
         try:
             self._read_header(source)
         except BagError:
@@ -275,7 +275,7 @@ class Ros1Reader(RecordReader):
             op = head.op
             yield head
         if self._recover:
-            self._stated = self._seen
+            self.stated = self._seen
             return
         while source.position < self._index_at:
             yield read_head(source)
@@ -328,10 +328,6 @@ class Ros1Reader(RecordReader):
             topics = f"{self._channels[connection.id].topic} and {connection.topic}"
             raise BagError(f"{self.name}: connection {connection.id} is defined twice ({topics}); the bag is damaged")
 
-    @property
-    def _stated_count(self) -> int:
-        return self._stated
-
     def _read_end(self, source: Source) -> None:
         """Read connections and chunk infos at the bag's end; if they are complete, the bag is not truncated."""
         for _ in range(self._connection_count + self._chunk_count):
@@ -340,7 +336,7 @@ class Ros1Reader(RecordReader):
             if head.op == Op.CONNECTION:
                 self._learn(head.header, data)
             elif head.op == Op.CHUNK_INFO:
-                self._stated += _counted(data)
+                self.stated = (self.stated or 0) + _counted(data)
             else:
                 raise BagError(f"{self.name}: {head.what} has op {head.op:#04x} in the index; the bag is damaged")
         source.require_end()
