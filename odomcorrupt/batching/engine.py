@@ -248,9 +248,13 @@ def _make(
     shared = SharedRun(job.model.identity, batch.options)
     transform = Transform(job.model.identity, 0, 0, batch.options, shared=shared)
     transform.odometry.prepare(output.reader, output.reader.name)
-    sink, drive = _sinks(job, output, workers), _drive(job)
-    systematic = None if job.spreads else SystematicEffects(job.model)
-    runs = [_begin(job, run, output, sink, drive, systematic) for run in task.runs]
+    drive = None
+    if batch.condition is not None:  # of which runs in a map draw whole paths
+        from odomcorrupt.forecasting import clean_drive_of  # noqa: PLC0415 - needed within a map only
+
+        drive = clean_drive_of(job.source, job.model, batch.options, recover=batch.container.recover)
+    rests, systematic = Rests(), None if job.spreads else SystematicEffects(job.model)
+    runs = [_begin(job, run, output, workers, rests, drive, systematic) for run in task.runs]
     every = list(runs)
     if not (home / CLEAN).exists():
         clean = TumSink(home / CLEAN, None)
@@ -284,27 +288,8 @@ class _Run:
     patches: bool
 
 
-def _drive(job: Job) -> CleanDrive | None:
-    """Return the odometry of the bag, of which runs in a map draw whole paths; None without a map."""
-    if job.batch.condition is None:
-        return None
-    from odomcorrupt.forecasting import clean_drive_of  # noqa: PLC0415 - needed within a map only
-
-    return clean_drive_of(job.source, job.model, job.batch.options, recover=job.batch.container.recover)
-
-
-def _sinks(job: Job, output: Target, workers: Workers) -> Callable[[int], BagSink]:
-    """Return the function that creates the output of a run, for runs that are bags."""
-    if job.batch.output == "overlay":
-        return lambda run: OverlaySink(job, run, output.reader)
-    if not job.batch.split:
-        return lambda run: FullSink(job, run, output, workers)
-    rests = Rests()
-    return lambda run: SplitSink(job, run, output, rests)
-
-
 def _begin(
-    job: Job, run: int, output: Target, sink_of: Callable[[int], BagSink], drive: CleanDrive | None, systematic:
+    job: Job, run: int, output: Target, workers: Workers, rests: Rests, drive: CleanDrive | None, systematic:
     SystematicEffects | None,
 ) -> _Run:  # fmt: skip
     model, batch = job.model_of(run), job.batch
@@ -315,10 +300,10 @@ def _begin(
     if tum is not None:
         return _Run(state, tum, patches=False)
     if batch.output == "overlay":
-        return _Run(state, sink_of(run), patches=True)
+        return _Run(state, OverlaySink(job, run, output.reader), patches=True)
     if batch.also or (changes_nothing(model) and not batch.options.degrades):  # written by itself, or the file copied
         return _Run(state, None, patches=False)
-    sink = sink_of(run)
+    sink: BagSink = SplitSink(job, run, output, rests) if batch.split else FullSink(job, run, output, workers)
     if batch.options.new_odom_frame is not None:
         state.edge = CorrectionEdge(batch.options.new_odom_frame, output.reader, sink.writer)
     return _Run(state, sink, patches=True)
@@ -744,14 +729,8 @@ def run_batch(
             run_local([task for job, own in todo for task in tasks_of(job, own, processes)], processes, audience)
         for job in jobs:
             write_manifest(job.directory)
-            _collect(job, runs)
+            made = read_records(job.directory) if job.batch.output == "trajectories" else {}
+            if made and set(runs) <= made.keys():  # all paths exist
+                files = [job.directory / record["file"] for record in made.values()]
+                write_npz(job.directory / "trajectories.npz", read_tum(job.directory / CLEAN), list(made), files)
     return Made(sum(len(own) for _, own in todo) - len(audience.failures), tuple(audience.failures))
-
-
-def _collect(job: Job, runs: range) -> None:
-    """Write all paths to one file, once all of them exist."""
-    if job.batch.output == "trajectories":
-        made = read_records(job.directory)
-        if set(runs) <= made.keys():
-            files = [job.directory / record["file"] for record in made.values()]
-            write_npz(job.directory / "trajectories.npz", read_tum(job.directory / "clean.tum"), list(made), files)

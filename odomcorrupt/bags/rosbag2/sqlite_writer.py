@@ -50,11 +50,9 @@ class SqliteOutput:
 
     def _begin(self) -> None:
         """Make the temporary file."""
-        raise NotImplementedError
 
     def _complete(self) -> None:
         """Make the last changes, and commit."""
-        raise NotImplementedError
 
     def __enter__(self) -> Self:
         try:
