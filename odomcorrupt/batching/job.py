@@ -43,6 +43,14 @@ class Spread:
     parameter: str
     deviation: float
 
+    def owner(self, model: MotionModel) -> Any:
+        """Return what has the parameter: coefficients of the noise, or an effect."""
+        return model.noise.coefficients if self.effect is None else model.effects[self.effect]
+
+    def name(self, model: MotionModel) -> str:
+        """Return the parameter's key in `standard_errors`."""
+        return self.parameter if self.effect is None else f"{self.owner(model).name}.{self.parameter}"
+
 
 def spreads_of(model: MotionModel, only: Collection[str] | None) -> tuple[Spread, ...]:
     """Return the distributions of all parameters with a standard error, or of those of them named in `only`.
@@ -91,7 +99,7 @@ def draw_robot(model: MotionModel, spreads: tuple[Spread, ...], seed: int, run: 
     spreads : standard deviations of the parameters to draw
     seed, run : seed of all draws, and number of the run
     """
-    named = {_name(model, spread): spread for spread in spreads}
+    named = {spread.name(model): spread for spread in spreads}
     known = model.correlation.among(named)
     groups = known.groups()
     tied = {name for group in groups for name in group}
@@ -106,32 +114,19 @@ def draw_robot(model: MotionModel, spreads: tuple[Spread, ...], seed: int, run: 
 
 def drawn_values(robot: MotionModel, spreads: tuple[Spread, ...]) -> dict[str, float]:
     """Return the drawn parameters of a model, by the keys of `standard_errors`."""
-    values = {}
-    for spread in spreads:
-        if spread.effect is None:
-            values[spread.parameter] = float(getattr(robot.noise.coefficients, spread.parameter))
-        else:
-            effect = robot.effects[spread.effect]
-            values[f"{effect.name}.{spread.parameter}"] = float(getattr(effect, spread.parameter))
-    return values
-
-
-def _name(model: MotionModel, spread: Spread) -> str:
-    """Return a parameter's key in `standard_errors`."""
-    return spread.parameter if spread.effect is None else f"{model.effects[spread.effect].name}.{spread.parameter}"
+    return {one.name(robot): float(getattr(one.owner(robot), one.parameter)) for one in spreads}
 
 
 def _drawn(
     model: MotionModel, spreads: Sequence[Spread], factor: Sequence[Sequence[float]], seed: int, run: int
 ) -> MotionModel:
     """Return a model with parameters drawn from a normal distribution with Cholesky factor (n, n)."""
-    names = [_name(model, spread) for spread in spreads]
+    names = [spread.name(model) for spread in spreads]
     streams = [
         stream(seed, run, f"robot {name}", 0 if spread.effect is None else spread.effect)
         for name, spread in zip(names, spreads, strict=True)
     ]
-    owners = [model.noise.coefficients if spread.effect is None else model.effects[spread.effect] for spread in spreads]
-    means = [float(getattr(owner, spread.parameter)) for owner, spread in zip(owners, spreads, strict=True)]
+    means = [float(getattr(spread.owner(model), spread.parameter)) for spread in spreads]
     for _ in range(TRIES):
         normals = [float(rng.standard_normal()) for rng in streams]
         drawn = model

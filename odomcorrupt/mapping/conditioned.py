@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.corruption.odometry_source import OdometrySource
+from odomcorrupt.corruption.odometry_source import OdometrySource, plain
 from odomcorrupt.corruption.path import (
     JUMP_MIN_S,
     JUMP_SPEED,
@@ -505,7 +505,7 @@ def read_recorded_map(path: Path, topic: str, *, recover: bool = False) -> Recor
     """Read the last nav_msgs/OccupancyGrid of a topic."""
     latest: tuple[bytes, str, str] | None = None
     with open_reader(path, recover=recover) as reader:
-        channels = [c for c in reader.channels.values() if c.topic.lstrip("/") == topic.lstrip("/")]
+        channels = [c for c in reader.channels.values() if plain(c.topic) == plain(topic)]
         if not channels or channels[0].msgtype != GRID:
             found = ", ".join(sorted({c.topic for c in reader.channels.values() if c.msgtype == GRID})) or "none"
             raise TopicError(
@@ -627,7 +627,7 @@ def read_condition(
     else:
         grid, frame = read_recorded_map(bag, name, recover=recover)
     pose = np.zeros(3) if map_pose is None else np.array(map_pose, dtype=np.float64)
-    if map_pose is None and bag is not None and frame.lstrip("/") != odom_frame.lstrip("/"):
+    if map_pose is None and bag is not None and plain(frame) != plain(odom_frame):
         found = read_map_from_odom(bag, frame, odom_frame, recover=recover)
         if found is None:
             raise MapError(

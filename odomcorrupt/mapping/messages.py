@@ -278,7 +278,7 @@ def _choose(channels: list[Channel], topic: str | None, kinds: Sequence[str], pl
     lasers = [c for c in channels if c.msgtype in kinds]
     names = " or ".join(kind.replace("/msg/", "/") for kind in kinds)
     if topic is not None:
-        chosen = [c for c in lasers if c.topic.lstrip("/") == topic.lstrip("/")]
+        chosen = [c for c in lasers if plain(c.topic) == plain(topic)]
         if not chosen:
             found = ", ".join(sorted({c.topic for c in lasers})) or "none"
             raise TopicError(f"{place}: no {names} on {topic} (found {found}); name another with --scan")

@@ -11,6 +11,7 @@ import numpy as np
 from odomcorrupt.bags.messages import gather, located, stamps_or_log_ns
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.batching.manifest import BEGINNING, read_beginning, read_records
+from odomcorrupt.corruption.odometry_source import plain
 from odomcorrupt.corruption.path import LEG_M
 from odomcorrupt.corruption.se2_on_se3 import PLANAR
 from odomcorrupt.errors import OdomCorruptError, TopicError
@@ -19,7 +20,7 @@ from odomcorrupt.scoring.errors import Alignment, Failure, Limits, PathErrors, S
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.raw_trajectory import in_order
 from odomcorrupt.study.io.text import is_text, read_text
-from odomcorrupt.study.io.topic_selection import parse_address, plain
+from odomcorrupt.study.io.topic_selection import parse_address
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -9,13 +9,14 @@ import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, gather_status, locate
 from odomcorrupt.bags.open import open_reader
+from odomcorrupt.corruption.odometry_source import ENCODINGS, ODOMETRY, plain
 from odomcorrupt.corruption.pose_faults import W_FIRST, ComponentOrder, lacks_w
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.study.io.fixes import resolved
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.se3 import headings
 from odomcorrupt.study.io.tf import EdgeReader
-from odomcorrupt.study.io.topic_selection import ODOMETRY, TRANSFORM, choose, named, parse_address, plain
+from odomcorrupt.study.io.topic_selection import TRANSFORM, choose, named, parse_address
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.messages import Layout
     from odomcorrupt.study.io.topic_selection import Address, Role
 
-_ENCODINGS = ("cdr", "ros1")
 _MAX_M2 = 1e12
 
 
@@ -44,7 +44,7 @@ def read_bag(path: Path, place: str, wanted: Mapping[Role, str | None]) -> dict[
     """
     addresses = {role: parse_address(name) if name is not None else None for role, name in wanted.items()}
     with open_reader(path) as reader:
-        channels = [c for c in reader.channels.values() if c.encoding in _ENCODINGS]
+        channels = [c for c in reader.channels.values() if c.encoding in ENCODINGS]
         if not channels:
             other = sorted({c.encoding for c in reader.channels.values()})
             said = f"messages in {', '.join(other)} alone" if other else "no topics"

@@ -15,11 +15,12 @@ from scipy.integrate import cumulative_trapezoid
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, located
 from odomcorrupt.bags.open import open_reader
+from odomcorrupt.corruption.odometry_source import plain
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.se2 import accumulate, increments
 from odomcorrupt.geometry.trajectory import Trajectory, distance_along
 from odomcorrupt.study.io.raw_trajectory import FEWEST, REPORTED_LAG_S, Samples
-from odomcorrupt.study.io.topic_selection import near, plain
+from odomcorrupt.study.io.topic_selection import near
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.corruption.odometry_source import plain
 from odomcorrupt.geometry.se2 import between, wrap
-from odomcorrupt.study.io.topic_selection import plain
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -17,12 +17,13 @@ from scipy.spatial.transform import Rotation
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, located
 from odomcorrupt.bags.open import open_reader
+from odomcorrupt.corruption.odometry_source import plain
 from odomcorrupt.corruption.pose_faults import W_FIRST, ComponentOrder
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.study.io.localisation import CORRECTIONS, REPEATED, SPARSE_HZ, ahead_s
 from odomcorrupt.study.io.raw_trajectory import FAR_M, Samples, order_of
 from odomcorrupt.study.io.se3 import Transforms, composed, headings, interpolated, inverted, unit
-from odomcorrupt.study.io.topic_selection import EDGES, near, plain
+from odomcorrupt.study.io.topic_selection import EDGES, near
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

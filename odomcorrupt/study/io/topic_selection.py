@@ -7,18 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from odomcorrupt.bags.messages import SCAN
-from odomcorrupt.corruption.odometry_source import says_truth
+from odomcorrupt.corruption.odometry_source import ODOMETRY, plain, says_truth
 from odomcorrupt.errors import TopicError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from odomcorrupt.bags.block import Channel
-
-
-def plain(name: str) -> str:
-    """Return a frame or topic name without leading slashes, because ROS names are the same with and without them."""
-    return name.lstrip("/")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +51,6 @@ def parse_address(text: str) -> Address:
 
 Role = Literal["odometry", "truth", "estimate"]
 
-ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 POSES = (ODOMETRY, "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped", TRANSFORM)
 POSITIONS = ("geometry_msgs/msg/PointStamped", "sensor_msgs/msg/NavSatFix")
