@@ -42,10 +42,7 @@ if TYPE_CHECKING:
 
 
 class MeasuredPath:
-    """Collects the path of the odometry in `parts`; a reset of time begins a new stretch.
-
-    name : name of the odometry
-    """
+    """Collects the path of the odometry of this `name` in `parts`; a reset of time begins a new stretch."""
 
     def __init__(self) -> None:
         self.name = ""
@@ -354,8 +351,7 @@ def _clock_left(corrected: Corrected) -> list[str]:
     if any(effect.clock for effect in corrected.effects.undone):
         return []
     offsets = {name: offset_s for name, (offset_s, _) in corrected.model.setup.clocks.items()}
-    name = max(offsets, key=lambda one: abs(offsets[one]), default="")
-    offset_s = offsets.get(name, 0.0)
+    name, offset_s = max(offsets.items(), key=lambda one: abs(one[1]), default=("", 0.0))
     # learned clock offset below which a correction is not suggested, seconds: a millimetre at 1 m/s
     if abs(offset_s) < 1e-3:
         return []

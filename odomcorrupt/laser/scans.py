@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.geometry.trajectory import Trajectory
-    from odomcorrupt.mapping.messages import CloudMessage, FrameTree, Mount
+    from odomcorrupt.mapping.messages import CloudMessage, Mount
 
 
 _KNOTS = 17
@@ -294,7 +295,9 @@ def read_sweeps(path: Path, place: str, topic: str | None, base_frame: str) -> S
         raise RecordingError(f"{where} holds {len(rows)} sweeps; scan matching needs many more than {_LEAST_SWEEPS}")
     rows, notes = _ordered(rows, name)
     frame = rows[0][0].frame_id
-    mount = _mount(found.tree, base_frame, frame)
+    mount = None
+    with suppress(TopicError):
+        mount = found.tree.mount(base_frame, frame, "")
     if mount is None:
         notes.append(f"{name}: TF does not contain the pose of {frame!r} on the robot; estimated from the motion")
     sweeps, view, more = _sweeps(rows, name)
@@ -327,13 +330,6 @@ def _ordered(
         notes.append(f"{name}: {len(rows) - len(index)} sweeps with duplicate stamps left out")
     kept = [(replace(rows[i][0], stamp_ns=int(stamps[i])), rows[i][1]) for i in index]
     return kept, notes
-
-
-def _mount(tree: FrameTree, base: str, laser: str) -> Mount | None:
-    try:
-        return tree.mount(base, laser, "")
-    except TopicError:
-        return None
 
 
 def _sweeps(

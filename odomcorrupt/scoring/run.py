@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -635,8 +636,6 @@ def _notes(runs: Sequence[RunScore], truths: set[str], align: Alignment) -> list
         notes.append("not aligned: estimate and truth are taken to be in one frame")
     if any(name.endswith("clean.tum") for name in truths):
         notes.append("truth: the odometry before it was corrupted; --truth names another")
-    said = [note for run in runs for note in run.notes]
-    for note in dict.fromkeys(said):
-        count = said.count(note)
+    for note, count in Counter(note for run in runs for note in run.notes).items():
         notes.append(f"{note} ({count} runs)" if count > 1 else note)
     return notes[:12]
