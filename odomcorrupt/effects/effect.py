@@ -218,11 +218,15 @@ class Effect:
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f over the intervals of `motion`, and the state after them; the given state is not modified.
 
-        By default f is 0: what an effect of another layer than "motion" changes is no function of the reported motion.
+        By default it is that of `by_rows`. For another layer than "motion" it is 0: what such an effect changes is no
+        function of the reported motion.
         """
-        if self.layer == "motion" and not self.clock:
+        if self.layer != "motion" or self.clock:
+            return TwistError(np.zeros((len(motion), 3)), state)
+        drawn = self.by_rows(motion, state)
+        if drawn is None or type(self).by_rows is Effect.by_rows:
             raise NotImplementedError
-        return TwistError(np.zeros((len(motion), 3)), state)
+        return TwistError(drawn.f(motion, slice(None)), drawn.state)
 
     def by_rows(self, motion: Motion, state: State) -> ByRows | None:  # noqa: ARG002 - for effects with memory
         """Return f by single intervals of a motion; None if f of an interval depends on the motion before it.

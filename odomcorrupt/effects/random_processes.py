@@ -83,13 +83,8 @@ class GaussMarkov(Effect):
         rng = copied(rng)
         return _Process(rng, float(rng.standard_normal()))
 
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: the gain at the end of each interval times its speed."""
-        drawn = self.by_rows(motion, state)
-        return TwistError(drawn.f(motion, slice(None)), drawn.state)
-
     def by_rows(self, motion: Motion, state: State) -> ByRows:
-        """Return f by single intervals: the gain does not depend on the motion."""
+        """Return f, the gain at the end of each interval times its speed; the gain does not depend on the motion."""
         rng = copied(state.rng)
         keep = np.exp(-motion.dt_s / self.tau)
         normal = autoregression(state.value, keep, np.sqrt(1.0 - keep**2) * rng.standard_normal(len(motion)))
@@ -284,13 +279,8 @@ class SlipBurst(Effect):
         both = self.sides == "both"
         return _Burst(begin, self.slip + place * self._spread(), float(both or side != 1), float(both or side != 2))
 
-    def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: the slip over the fraction of each interval that lies in a burst."""
-        drawn = self.by_rows(motion, state)
-        return TwistError(drawn.f(motion, slice(None)), drawn.state)
-
     def by_rows(self, motion: Motion, state: State) -> ByRows:
-        """Return f by single intervals: when bursts come does not depend on the motion."""
+        """Return f, the slip over the fraction of each interval that lies in a burst; the motion decides on none."""
         rng, now, coming = copied(state.rng), state.now, state.next
         clock = np.cumsum(np.concatenate(([state.clock_s], motion.dt_s)))
         right, left = np.zeros(len(motion)), np.zeros(len(motion))

@@ -29,7 +29,7 @@ from odomcorrupt.laser.icp import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -40,46 +40,37 @@ if TYPE_CHECKING:
 
 
 _KERNEL = 12.0
-"""Squared normalised residual at which a robust edge has a quarter of its weight."""
+"""Squared normalised residual at which a match, which may be wrong, has a quarter of its weight."""
 
 
-@dataclass(frozen=True, slots=True)
-class Edges:
-    """A set of e relative poses.
+class Edge(NamedTuple):
+    """Pose of the second keyframe in the frame of the first, its information, and whether it is a match and a loop."""
 
-    first, second : (e,) indices of the poses they connect
-    pose : (e, 3) pose of the second in the frame of the first
-    information : (e, 3, 3) of that pose, in the first's axes
-    robust : (e,) whether the edge may be an outlier
-    """
-
-    first: NDArray[np.int64]
-    second: NDArray[np.int64]
+    first: int
+    second: int
     pose: Array
     information: Array
-    robust: NDArray[np.bool_]
-
-    def __len__(self) -> int:
-        return len(self.first)
+    matched: bool
+    loop: bool
 
 
-def optimise(poses: Array, edges: Edges, rounds: int = 12) -> tuple[Array, Array]:
+def optimise(poses: Array, edges: Sequence[Edge], rounds: int = 12) -> tuple[Array, Array]:
     """Return the most likely poses (n, 3), with the first one fixed, and the final weights (e,) of the edges."""
     poses = poses.copy()
     weight = np.ones(len(edges))
     count = len(poses)
-    if count < 2 or not len(edges):
+    if count < 2 or not edges:
         return poses, weight
-    i, j = edges.first, edges.second
+    i, j, pose, information, matched = map(np.array, list(zip(*edges, strict=True))[:5])
     rows = (3 * np.stack((i, j), axis=1)[:, :, None] + np.arange(3)).reshape(len(edges), 6)
     at = np.repeat(rows[:, :, None], 6, axis=2), np.repeat(rows[:, None, :], 6, axis=1)
     for _ in range(rounds):
         a, b = poses[i], poses[j]
         seen = between(a, b)
-        miss = seen - edges.pose
+        miss = seen - pose
         miss[:, 2] = wrap(miss[:, 2])
-        chi2 = np.einsum("ei,eij,ej->e", miss, edges.information, miss)
-        weight = np.where(edges.robust, (_KERNEL / (_KERNEL + chi2)) ** 2, 1.0)
+        chi2 = np.einsum("ei,eij,ej->e", miss, information, miss)
+        weight = np.where(matched, (_KERNEL / (_KERNEL + chi2)) ** 2, 1.0)
         c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
         left = np.zeros((len(edges), 3, 3))
         left[:, 0, 0], left[:, 0, 1], left[:, 1, 0], left[:, 1, 1] = -c, -s, s, -c
@@ -87,7 +78,7 @@ def optimise(poses: Array, edges: Edges, rounds: int = 12) -> tuple[Array, Array
         right = -left.copy()
         right[:, :2, 2], right[:, 2, 2] = 0.0, 1.0
         jacobian = np.concatenate((left, right), axis=2)
-        pulled = np.swapaxes(jacobian, 1, 2) @ (edges.information * weight[:, None, None])
+        pulled = np.swapaxes(jacobian, 1, 2) @ (information * weight[:, None, None])
         blocks = pulled @ jacobian
         gradient = np.zeros(3 * count)
         np.add.at(gradient, rows.ravel(), (pulled @ miss[:, :, None])[:, :, 0].ravel())
@@ -108,17 +99,6 @@ _STEPS = np.stack(np.meshgrid(*(np.array([-1.0, 0.0, 1.0]),) * 3, indexing="ij")
 _EDGE_M, _EDGE_RAD = 0.004, 0.001
 _WEAK_AGAIN = 0.01
 _ODOMETRY_M, _ODOMETRY_RAD = 0.1, 0.05
-
-
-class Edge(NamedTuple):
-    """Pose of the second keyframe in the frame of the first, its information, and whether it is a match and a loop."""
-
-    first: int
-    second: int
-    pose: Array
-    information: Array
-    matched: bool
-    loop: bool
 
 
 class KeyframeMap:
@@ -243,7 +223,7 @@ class KeyframeMap:
         if not self.edges:
             return
         before = self.poses
-        self.poses, weights = optimise(self.poses, Edges(*map(np.array, list(zip(*self.edges, strict=True))[:5])))
+        self.poses, weights = optimise(self.poses, self.edges)
         i, j = np.array([(e.first, e.second) for e in self.edges]).T
         moved = np.abs(between(before[i], before[j]) - between(self.poses[i], self.poses[j])).max(axis=1) > 1e-3
         for k in {*i[moved].tolist(), *j[moved].tolist()}:

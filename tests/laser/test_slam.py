@@ -15,7 +15,7 @@ from odomcorrupt.laser.calibrate import calibrate
 from odomcorrupt.laser.icp import WEAK, lines_of, match, surface_of
 from odomcorrupt.laser.moving import without_moving
 from odomcorrupt.laser.scans import Deskewing, Motion, Sweep, Sweeps, even_stamps, read_sweeps
-from odomcorrupt.laser.slam import Edges, optimise
+from odomcorrupt.laser.slam import Edge, optimise
 from odomcorrupt.laser.trajectory import (
     UNKNOWN_M,
     LaserPath,
@@ -81,7 +81,8 @@ def test_a_pose_graph_closes_a_loop_and_leaves_a_wrong_closure_aside():
     start[0] = truth[0]
     for k in range(1, count):
         start[k] = compose(start[k - 1], pose[k - 1])
-    found, weight = optimise(start, Edges(i, j, pose, information, robust), rounds=30)
+    edges = [Edge(*row, loop=False) for row in zip(i, j, pose, information, robust, strict=True)]
+    found, weight = optimise(start, edges, rounds=30)
     assert weight[-1] < 0.1
     assert weight[-2] > 0.5
     last = between(found[-1], found[0])

@@ -402,8 +402,7 @@ class SqliteWriter(SqliteOutput):
             self._connection.execute("PRAGMA journal_mode = WAL").fetchall()
 
     def _discard(self) -> None:
-        if self._copying is not None:
-            self._end_copy()
+        self._end_copy()
         super()._discard()
 
     def _end_copy(self) -> None:
