@@ -77,8 +77,7 @@ def test_a_pose_graph_closes_a_loop_and_leaves_a_wrong_closure_aside():
     pose = between(truth[i], truth[j]) + rng.normal(size=(len(i), 3)) * [0.01, 0.01, 0.002]
     pose[-1, :2] += 1.5  # a wrong closure
     information = np.broadcast_to(np.diag([1e4, 1e4, 2.5e5]), (len(i), 3, 3))
-    start = np.zeros_like(truth)
-    start[0] = truth[0]
+    start = truth.copy()
     for k in range(1, count):
         start[k] = compose(start[k - 1], pose[k - 1])
     edges = [Edge(*row, loop=False) for row in zip(i, j, pose, information, robust, strict=True)]
