@@ -1,21 +1,29 @@
-"""Steered and commanded robots: each fault is found by name and size, with independent wheel models."""
+"""Steered, commanded and sideways robots: each fault is found by name and size. Turns on the spot alone are refused."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden import ten_second_error
-from wandering import noisy_path, recording, wander
+from hidden import basis_dependences, ten_second_error
+from wandering import RATE_HZ, drive, noisy_path, recording, wander
 from wheel_models import AXLES_M, GRID_HZ, HOBBY_TRACK_M, Flaw, car, forklift, hobby, lagged, loose
 
+import odomcorrupt as oc
 from odomcorrupt.api.recordings import Recordings
+from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.design.identifiability import untried
 from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.drive_type import drive_type_of, readings_of
+from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.regressors import MotionSmoother
 from odomcorrupt.study.io import Source
+from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.select.random_effects import random_coefficients
+from odomcorrupt.study.select.screening import CoarseDesign
 from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.terms.library import library_families
 
@@ -187,36 +195,40 @@ def test_a_track_that_is_given_leaves_no_other_to_be_tried():
 
 
 def test_the_drive_type_is_guessed_from_slow_curves():
-    assert drive_type_of([car(1, seconds=120.0)]).sentence.startswith(
-        "car (steers up to a stop, never turned on the spot; smallest radius 1."
-    )
-    assert not drive_type_of([car(1, seconds=120.0)]).gyro  # its heading stands while its wheels do
+    steered = car(1, seconds=120.0)
+    guessed = drive_type_of([steered])
+    assert guessed.sentence.startswith("car (steers up to a stop, never turned on the spot; smallest radius 1.")
+    assert not guessed.gyro  # its heading stands while its wheels do
     assert drive_type_of([hobby(1, as_commanded, seconds=120.0)]).name == "differential"
-    steps = wander(1, 120.0)
-    assert drive_type_of([recording(steps, noisy_path(steps, QUIET, 1))]).name == "differential"
-    # a steered robot that a user takes for a differential one is one
-    assert drive_type_of([replace(car(1, seconds=120.0), drive_type="differential")]).sentence == "differential"
+    assert drive_type_of([drive(1, 120.0, QUIET)]).name == "differential"
+    # a steered robot that a user takes for a differential one is one, a track says that there are two wheels,
+    # and too short a drive says nothing
+    for run in (replace(steered, drive_type="differential"), replace(steered, track_m=0.4), car(1, seconds=15.0)):
+        assert drive_type_of([run]).sentence == "differential"
+
+
+def slow_in_bends(seconds, curvature_of):
+    """Return a car that slows down for tight bends in each 20 s; `curvature_of` the time since the start, s."""
+    t_s = np.arange(seconds * 50) / 50.0
+    v = np.interp(t_s % 20.0, [0.0, 2.0, 8.0, 10.0, 20.0], [0.25, 1.0, 1.0, 0.25, 0.25])
+    steps = Increments(v / 50.0, 0.0 * v, v * curvature_of(t_s) / 50.0)
+    return recording(steps, accumulate(np.zeros(3), steps))
 
 
 def test_a_car_that_slows_down_for_tight_bends_is_guessed_too():
     # at speed its curvature is 0.15 per metre at most; at its stop, in slow bends, 0.55
-    t_s = np.arange(200 * 50) / 50.0 % 20.0
-    v = np.interp(t_s, [0.0, 2.0, 8.0, 10.0, 20.0], [0.25, 1.0, 1.0, 0.25, 0.25])
     knots_s = [0.0, 2.0, 5.0, 8.0, 10.0, 11.5, 18.5, 20.0]
-    curvature = np.interp(t_s, knots_s, [0.0, 0.0, 0.15, 0.0, 0.0, 0.55, 0.55, 0.0])
-    steps = Increments(v / 50.0, 0.0 * v, v * curvature / 50.0)
-    run = recording(steps, accumulate(np.zeros(3), steps))
+    run = slow_in_bends(200, lambda t_s: np.interp(t_s % 20.0, knots_s, [0.0, 0.0, 0.15, 0.0, 0.0, 0.55, 0.55, 0.0]))
     said = "car (steers up to a stop, never turned on the spot; smallest radius 1.8 m)"
     assert drive_type_of([run]).sentence == said
 
 
 def test_a_car_whose_steering_is_not_straight_at_zero_has_another_stop_on_each_side():
-    t_s = np.arange(320 * 50) / 50.0
-    v = np.interp(t_s % 20.0, [0.0, 2.0, 8.0, 10.0, 20.0], [0.25, 1.0, 1.0, 0.25, 0.25])
-    bend = np.interp(t_s % 20.0, [10.0, 11.5, 18.5, 20.0], [0.0, 1.0, 1.0, 0.0])
-    curvature = bend * np.choose((t_s // 20.0).astype(int) % 4, [0.55, -0.45, -0.45, -0.2])
-    steps = Increments(v / 50.0, 0.0 * v, v * curvature / 50.0)
-    assert drive_type_of([recording(steps, accumulate(np.zeros(3), steps))]).name == "car"
+    def curvature(t_s):
+        bend = np.interp(t_s % 20.0, [10.0, 11.5, 18.5, 20.0], [0.0, 1.0, 1.0, 0.0])
+        return bend * np.choose((t_s // 20.0).astype(int) % 4, [0.55, -0.45, -0.45, -0.2])
+
+    assert drive_type_of([slow_in_bends(320, curvature)]).name == "car"
 
 
 def test_a_robot_that_its_planner_never_turns_on_the_spot_is_no_car():
@@ -224,27 +236,15 @@ def test_a_robot_that_its_planner_never_turns_on_the_spot_is_no_car():
         assert drive_type_of([car(seed, seconds=200.0, planned=True)]).sentence == "differential"
 
 
-def test_too_short_or_straight_a_drive_says_nothing_of_the_drive_type():
-    assert drive_type_of([car(1, seconds=15.0)]).sentence == "differential"
-
-
-def test_a_track_says_that_there_are_two_wheels():
-    assert drive_type_of([replace(car(1, seconds=120.0), track_m=0.4)]).name == "differential"
-
-
-def test_other_readings_are_those_that_the_robot_can_have():
+def test_other_readings_are_those_that_the_robot_can_have_and_of_a_guessed_one_those_of_the_other_type():
     robot, guessed = drive_type_of([hobby(1, as_commanded, seconds=30.0)]), drive_type_of([car(1, seconds=120.0)])
     stated = replace(guessed, stated=True)
     assert readings_of("lever_arm", robot) == ("icr_shift",)
     assert readings_of("lever_arm", stated) == ("rear_axle_shift",)
     assert readings_of("rear_axle_shift", stated) == ("lever_arm",)
-
-
-def test_a_guessed_drive_type_keeps_the_names_for_the_other_one_as_readings():
-    guessed = drive_type_of([car(1, seconds=120.0)])
     assert guessed.name == "car"
     assert "unequal_wheels" in readings_of("steering_offset", guessed)
-    assert "unequal_wheels" not in readings_of("steering_offset", replace(guessed, stated=True))
+    assert "unequal_wheels" not in readings_of("steering_offset", stated)
 
 
 def test_the_drive_type_goes_with_the_model(tmp_path):
@@ -254,3 +254,121 @@ def test_the_drive_type_goes_with_the_model(tmp_path):
     runs = Recordings((replace(run, drive_type="auto"),), (Source(tmp_path / "run.mcap"),))
     assert runs.of_drive_type("tricycle")[0].drive_type == "tricycle"
     assert runs.of_drive_type("omni").of_drive_type("car")[0].drive_type == "omni"
+
+
+@pytest.fixture(scope="module")
+def sideways_wander():
+    along = wander(311, 300.0)
+    pace = np.arange(len(along)) / RATE_HZ
+    return Increments(along.ds_m, 0.3 * np.sin(0.4 * pace) / RATE_HZ, along.dtheta_rad)
+
+
+@pytest.mark.slow
+def test_rollers_that_slip_have_a_name_and_the_right_size(sideways_wander):
+    # the odometry says more than was driven: the truth is e = -6 % of it shorter
+    reported = accumulate(
+        np.zeros(3), Increments(sideways_wander.ds_m, sideways_wander.dl_m / 0.94, sideways_wander.dtheta_rad)
+    )
+    learned = learn([recording(sideways_wander, reported, truth_mm=1.0, truth_rad=0.001, seed=311)])
+    assert learned.added == ("sideways_scale",)
+    assert learned.fit.effects[0].e == pytest.approx(-0.06, abs=0.002)
+    assert learned.error_m < 0.1 * learned.rounds[0].candidates[0].rmse[0]
+
+
+@pytest.mark.slow
+def test_a_wheel_of_another_size_turns_the_robot_as_it_drives_sideways(sideways_wander):
+    k = 0.05
+    reported = accumulate(
+        np.zeros(3),
+        Increments(sideways_wander.ds_m, sideways_wander.dl_m, sideways_wander.dtheta_rad - k * sideways_wander.dl_m),
+    )
+    learned = learn([recording(sideways_wander, reported, truth_mm=1.0, truth_rad=0.001, seed=313)])
+    assert learned.added == ("sideways_turn",)
+    assert learned.fit.effects[0].k == pytest.approx(k, abs=0.001)
+    assert learned.error_m < 0.1 * learned.rounds[0].candidates[0].rmse[0]
+
+
+def test_a_robot_that_cannot_is_not_asked_and_not_advised_to():
+    steps = wander(312, 120.0)
+    learned = learn([recording(steps, noisy_path(steps, Coefficients(0.004, 0.004, 0.008, 0.004), 312), seed=312)])
+    assert learned.added == ()
+    asked = {c.score.effect.name for c in learned.rounds[0].candidates} | {one.effect for one in untried(learned)}
+    assert "region_slip" in asked
+    assert asked.isdisjoint({"sideways_scale", "sideways_turn"})
+
+
+LOST = 0.04
+"""Fraction of the sideways travel by which rollers that sag push a robot back."""
+
+
+def sideways_drive(lost: float, seconds: float = 200.0):
+    """Return a recording of a robot that drives forwards and sideways, and is pushed back as it drives sideways."""
+    along, across = wander(1, seconds), wander(2, seconds)
+    reported = Increments(along.ds_m, across.ds_m, along.dtheta_rad)
+    slipped = 1e-3 * np.sqrt(np.hypot(along.ds_m, across.ds_m)) * np.random.default_rng(3).standard_normal(len(along))
+    driven = replace(reported, ds_m=along.ds_m - lost * np.abs(across.ds_m) + slipped)
+    return recording(driven, accumulate(np.zeros(3), reported), truth_mm=1.0, truth_rad=1e-3)
+
+
+def fitted(run):
+    return fit([run], approach=Approach())
+
+
+def test_what_rollers_lose_sideways_is_an_error_over_the_sideways_speed():
+    (found, *_) = basis_dependences(fitted(sideways_drive(LOST)))
+    assert (found.channel, found.regressor, found.per) == ("along", "sideways_speed", "m")
+    assert found.expression.startswith("along += abs(vy) * (-0.0")
+    assert found.score.estimate[0] == pytest.approx(-LOST, rel=0.05)
+
+
+def test_without_an_error_nothing_depends_on_the_sideways_speed():
+    bare = fitted(sideways_drive(0.0))
+    assert basis_dependences(bare) == []
+
+
+def of_sideways(run):
+    """Return the actions and basis functions of sideways motion that are tried on a recording."""
+    design = CoarseDesign(fitted(run).problem)
+    actions = {(a.target, a.move) for a in design.actions if "vy" in a.move}
+    return actions, {f.text for f in design.functions if "vy" in f.text or f.regressor == "sideways_speed"}
+
+
+def test_only_a_robot_that_can_and_does_drive_sideways_has_the_regressor():
+    run = sideways_drive(0.0, 60.0)
+    actions, functions = of_sideways(run)
+    assert actions == {(channel, move) for channel in ("along", "across", "yaw") for move in ("vy", "abs(vy)")}
+    assert {"k", "k * abs(vy)", "k * where(vy < -0.02, 1, 0)"} < functions
+    assert of_sideways(replace(run, drive_type="differential")) == (set(), set())
+    steps = wander(1, 60.0)
+    unicycle = recording(steps, accumulate(np.zeros(3), steps))
+    assert of_sideways(replace(unicycle, drive_type="omni")) == (set(), set())
+
+
+def turning(noise_m=0.0, duration_s=36.0, travel_m=0.0):
+    """Return a recording of turns to the left, 2 % too far, with noise of travel in each step of the odometry."""
+    n = int(duration_s * RATE_HZ)
+    along, none = np.full(n, travel_m / n), np.zeros(n)
+    turns = np.full(n, 1.2 / RATE_HZ)
+    noise = noise_m * np.random.default_rng(1).standard_normal(n)
+    odometry = accumulate(np.zeros(3), Increments(along + noise, none, 1.02 * turns))
+    return recording(Increments(along, none, turns), odometry)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.003])
+@pytest.mark.parametrize("study", [oc.learn, oc.fit, oc.diagnose])
+def test_turns_alone_are_refused_in_one_line_whatever_the_truth(study, noise_m):
+    with pytest.raises(RecordingError, match=r"travels 0\.\d\d m only, .*turns on the spot.*some metres") as refused:
+        study(Recordings((turning(noise_m),), ()))
+    assert "\n" not in str(refused.value)
+
+
+def test_turns_beside_a_drive_that_travels_are_not_refused():
+    steps = wander(3, 60.0)
+    drive = recording(steps, accumulate(np.zeros(3), steps))
+    assert oc.fit(Recordings((turning(0.003), drive), ())).model
+
+
+def test_gains_of_travel_without_travel_are_tested_for_every_correlation_time():
+    found = fitted(turning())
+    assert not np.concatenate([m.v for m in found.problem.motions]).any()
+    assert "along" not in {getattr(one.effect, "channel", "") for one in random_coefficients(found, DECISIONS)}
