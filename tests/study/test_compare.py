@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.stats import chi2, norm
-from wandering import PLANTED, RATE_HZ, drive, noisy_path, recording, wander
+from wandering import PLANTED, RATE_HZ, drive, noisy_path, positions_only, recording, slewed, wander
 
 from evo_oracle import as_evo, evo_metrics
 from odomcorrupt.effects import effect_from_values
@@ -372,9 +372,7 @@ def test_a_recording_is_compared_at_the_truths_stamps():
 
 
 def of_positions(seed, truth_mm, k):
-    run, every = drive(seed, 150.0, k, truth_mm=truth_mm), 10
-    xyt = np.column_stack((run.truth.xyt[::every, :2], np.full(len(run.truth.xyt[::every]), np.nan)))
-    run = with_headings(replace(run, truth=Trajectory(run.truth.stamps_ns[::every], xyt)))
+    run = with_headings(positions_only(drive(seed, 150.0, k, truth_mm=truth_mm), every=10))
     model = MotionModel(Noise("diffusion", k), setup=Setup(truth=TruthNoise(truth_mm * 1e-3, 0.5, 0.0)))
     return evaluate_stretch(run, model, Approach("truth"))
 
@@ -397,16 +395,12 @@ STATED = TruthNoise(0.003, 0.003, 0.0)
 STATED_MODEL = MotionModel(Noise("diffusion", QUIET), setup=Setup(truth=STATED))
 
 
-def slipping(slips, *, every_s=0.0, truth_mm=3.0, truth_rad=0.003):
-    """Return two minutes in which some seconds, or parts of every few, turn the odometry by 12 degrees too much."""
+def slipping(slips, *, throughout=False, truth_mm=3.0, truth_rad=0.003):
+    """Return two minutes in which some seconds turn the odometry by 12 degrees too much, or every step by chance."""
 
     def turned(steps):
-        more = np.zeros(len(steps))
-        for at in slips:
-            more[at * 50 : at * 50 + 50] = np.radians(12.0) / 50.0
-        if every_s:
-            more += np.random.default_rng(1).normal(0.0, np.radians(0.5), len(steps))
-        return replace(steps, dtheta_rad=steps.dtheta_rad + more)
+        noise = np.random.default_rng(1).normal(0.0, np.radians(0.5), len(steps)) if throughout else 0.0
+        return slewed(slips, 12.0)(replace(steps, dtheta_rad=steps.dtheta_rad + noise))
 
     return drive(5, 120.0, QUIET, said=turned, truth_mm=truth_mm, truth_rad=truth_rad)
 
@@ -423,7 +417,7 @@ def test_slips_are_not_taken_for_noise_of_the_truth():
 
 
 def test_a_robot_that_is_noisier_throughout_is_not_excused_by_a_truth_whose_samples_are_good():
-    piece = judged_of(slipping((), every_s=0.02))
+    piece = judged_of(slipping((), throughout=True))
     assert piece.truth.yaw_rad < 0.02
     assert np.mean(piece.innovations**2) > 2.0
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from hidden import as_recording
-from wandering import QUIET, drive, noisy_path, recording, scaled, wander
+from wandering import QUIET, drive, late, noisy_path, recording, scaled, wander
 
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
@@ -80,10 +80,9 @@ def test_a_gain_that_held_out_data_do_not_show_caps_the_confidence():
 
 
 def test_a_clock_is_found_with_the_model_where_its_effect_hides_it():
-    run = scaled_drive(8, wide=0.25)
-    late = replace(run, odometry=Trajectory(run.odometry.stamps_ns + 300_000_000, run.odometry.xyt))
+    run = late(scaled_drive(8, wide=0.25), 0.3)
     model = MotionModel(Noise("diffusion", QUIET), (effect_from_values("wheelbase", {"e": -0.75}),))
-    assert clocks_beside([late], Approach(), model).clocks[0].offset_s == pytest.approx(0.3, abs=0.02)
+    assert clocks_beside([run], Approach(), model).clocks[0].offset_s == pytest.approx(0.3, abs=0.02)
 
 
 def test_odometry_that_is_given_poses_leaves_even_odds_to_what_a_filter_does():

@@ -10,7 +10,7 @@ from hidden import as_recording
 from scipy.optimize import minimize
 from scipy.signal import lfilter
 from scipy.stats import binom, multivariate_normal
-from wandering import PLANTED, RATE_HZ, drive, noisy_path, recording, wander
+from wandering import PLANTED, RATE_HZ, drive, noisy_path, positions_only, recording, wander
 
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.se2 import Increments, accumulate, increments
@@ -280,8 +280,7 @@ def test_at_a_constant_yaw_rate_noise_over_time_is_noise_of_turns(law):
 
 def of_positions(run):
     """Return windows of 5 s beside a truth of positions only."""
-    blind = np.column_stack((run.truth.xyt[:, :2], np.full(len(run.truth), np.nan)))
-    run = with_headings(replace(run, truth=Trajectory(run.truth.stamps_ns, blind)))
+    run = with_headings(positions_only(run))
     return position_windows(run, intervals_between(run, np.arange(100, 900, 250)))
 
 

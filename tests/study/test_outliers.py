@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hidden import as_recording
 from scipy.stats import t as student
-from wandering import drive, noisy_path, recording, wander
+from wandering import drive, noisy_path, recording, slewed, wander
 
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
@@ -217,14 +217,7 @@ CALM = Coefficients(0.006, 0.003, 0.004, 0.0)
 
 def four_minutes(slips=(), *, excursion_m=0.0):
     """Return four minutes with slips of 15 degrees in a second, and a truth that is elsewhere for six seconds."""
-
-    def turned(steps):
-        more = np.zeros(len(steps))
-        for at in slips:
-            more[at * 50 : at * 50 + 50] = np.radians(15.0) / 50.0
-        return replace(steps, dtheta_rad=steps.dtheta_rad + more)
-
-    run = drive(7, 240.0, CALM, said=turned, truth_mm=2.0, truth_rad=0.002)
+    run = drive(7, 240.0, CALM, said=slewed(slips, 15.0), truth_mm=2.0, truth_rad=0.002)
     true = run.truth.xyt.copy()
     true[100 * 50 : 106 * 50, 0] += excursion_m
     return replace(run, truth=replace(run.truth, xyt=true))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hidden import as_recording
 from scipy.ndimage import gaussian_filter1d
-from wandering import PLANTED, drive
+from wandering import PLANTED, drive, positions_only
 
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.se2 import Increments, accumulate, compose, increments
@@ -151,37 +151,38 @@ def test_headings_are_those_of_the_model_so_that_an_antenna_ahead_of_the_axle_tu
     assert np.abs(problem.intervals.residual[:, :2]).max() < 0.05
 
 
+STEPS_S = np.arange(0.0, 300.0, 0.02)[1:]
+
+
+def path(step, turn):
+    """Return the trajectory of steps (n,) m and turns (n,) rad that end at `STEPS_S`."""
+    stamps = np.round(1e9 * np.concatenate(([0.0], STEPS_S))).astype(np.int64)
+    return Trajectory(stamps, accumulate(np.zeros(3), Increments(step, 0.0 * step, turn)))
+
+
+def seen(trajectory, at_s, deviation, rng):
+    """Return poses of a trajectory at times (n,) s, with noise of these deviations of x, y (m) and yaw (rad)."""
+    poses = trajectory.at(at_s, 0) + deviation * rng.standard_normal((len(at_s), 3))
+    return Trajectory(np.round(1e9 * at_s).astype(np.int64), poses)
+
+
 def test_turns_that_change_between_two_sweeps_of_a_laser_are_no_noise_of_exact_odometry():
     rng = np.random.default_rng(3)
-    t_s = np.arange(0.0, 300.0, 0.02)
-    swerve = gaussian_filter1d(rng.normal(size=len(t_s) - 1), 0.16 / 0.02)
-    rate_radps = 0.5 * np.sin(0.3 * t_s[1:]) + 0.5 * swerve / swerve.std()
-    step = np.full(len(rate_radps), 0.01)
-    xyt = accumulate(np.zeros(3), Increments(step, 0.0 * step, 0.02 * rate_radps))
-    odometry = Trajectory(np.round(1e9 * t_s).astype(np.int64), xyt)
-    sweeps_s, deviation = np.arange(0.13, 299.0, 0.2), np.array([0.002, 0.002, 0.0006])
-    poses = odometry.at(sweeps_s, 0) + deviation * rng.standard_normal((len(sweeps_s), 3))
-    covariance = np.tile(np.diag(deviation**2), (len(sweeps_s), 1, 1))
-    truth = Trajectory(np.round(1e9 * sweeps_s).astype(np.int64), poses, covariance)
+    swerve = gaussian_filter1d(rng.normal(size=len(STEPS_S)), 0.16 / 0.02)
+    rate_radps = 0.5 * np.sin(0.3 * STEPS_S) + 0.5 * swerve / swerve.std()
+    odometry = path(np.full(len(rate_radps), 0.01), 0.02 * rate_radps)
+    deviation = np.array([0.002, 0.002, 0.0006])
+    truth = seen(odometry, np.arange(0.13, 299.0, 0.2), deviation, rng)
+    truth = replace(truth, covariance=np.tile(np.diag(deviation**2), (len(truth), 1, 1)))
     assert choose_side(Recording("swerves", odometry, truth, 0), 0.5) == "odometry"
 
 
 def test_jitter_of_encoders_is_no_regressor_beside_a_truth_whose_noise_smoothing_removes():
     rng = np.random.default_rng(4)
-    t_s = np.arange(0.0, 300.0, 0.02)
-    rate_radps = 0.6 * np.sin(0.3 * t_s[1:])
-    step = np.full(len(rate_radps), 0.008)
-    still = 0.0 * step
+    turn, step = 0.02 * 0.6 * np.sin(0.3 * STEPS_S), np.full(len(STEPS_S), 0.008)
     jitter = 8e-3 * np.sqrt(0.02) * rng.standard_normal(len(step))
-    stamps = np.round(1e9 * t_s).astype(np.int64)
-    true = Trajectory(stamps, accumulate(np.zeros(3), Increments(step, still, 0.02 * rate_radps)))
-    smooth, rough = (
-        Trajectory(stamps, accumulate(np.zeros(3), Increments(step, still, 0.02 * rate_radps + j)))
-        for j in (0.0, jitter)
-    )
-    seen_s = np.arange(0.1037, 299.0, 0.01)
-    poses = true.at(seen_s, 0) + np.array([0.001, 0.001, 0.002]) * rng.standard_normal((len(seen_s), 3))
-    truth = Trajectory(np.round(1e9 * seen_s).astype(np.int64), poses)
+    smooth, rough = path(step, turn), path(step, turn + jitter)
+    truth = seen(smooth, np.arange(0.1037, 299.0, 0.01), [0.001, 0.001, 0.002], rng)
     assert choose_side(Recording("rough", rough, truth, 0), 0.5) == "truth"
     assert choose_side(Recording("smooth", smooth, truth, 0), 0.5) == "odometry"
     # one of several recordings does not decide for all
@@ -191,20 +192,14 @@ def test_jitter_of_encoders_is_no_regressor_beside_a_truth_whose_noise_smoothing
 
 def test_starts_and_stops_are_no_noise_of_the_odometry():
     rng = np.random.default_rng(6)
-    t_s = np.arange(0.0, 300.0, 0.02)
-    phase_s = t_s[1:] % 14.0
+    phase_s = STEPS_S % 14.0
     ramp = np.ones(75) / 75
     speed_mps = np.convolve(np.where(phase_s < 10.0, 0.3, 0.0), ramp, "same")
     rate_radps = np.convolve(np.where((phase_s > 9.5) & (phase_s < 13.5), 0.1, 0.0), ramp, "same")
     moved = speed_mps + rate_radps > 1e-3
-    still = 0.0 * speed_mps
-    noise = 1e-3 * np.sqrt(0.02) * moved * rng.standard_normal((2, len(still)))
-    step, turn = 0.02 * speed_mps + 0.2 * noise[0], 0.02 * rate_radps + noise[1]
-    stamps = np.round(1e9 * t_s).astype(np.int64)
-    odometry = Trajectory(stamps, accumulate(np.zeros(3), Increments(step, still, turn)))
-    seen_s = np.arange(0.1037, 299.0, 0.01)
-    poses = odometry.at(seen_s, 0) + np.array([0.002, 0.002, 0.0035]) * rng.standard_normal((len(seen_s), 3))
-    truth = Trajectory(np.round(1e9 * seen_s).astype(np.int64), poses)
+    noise = 1e-3 * np.sqrt(0.02) * moved * rng.standard_normal((2, len(moved)))
+    odometry = path(0.02 * speed_mps + 0.2 * noise[0], 0.02 * rate_radps + noise[1])
+    truth = seen(odometry, np.arange(0.1037, 299.0, 0.01), [0.002, 0.002, 0.0035], rng)
     assert choose_side(Recording("exact", odometry, truth, 0), 0.5) == "odometry"
 
 
@@ -256,12 +251,10 @@ def test_of_all_laws_the_one_that_made_the_noise_is_the_likeliest():
 
 @pytest.mark.slow
 def test_stretches_of_one_run_share_their_clock(clean):
-    late = Trajectory(clean.odometry.stamps_ns + 40_000_000, clean.odometry.xyt)
-    middle = len(clean.odometry) // 2
-    parts = [
-        replace(clean, name=f"part {i}", odometry=Trajectory(late.stamps_ns[s], late.xyt[s]), clock="one")
-        for i, s in enumerate((slice(0, middle), slice(middle, None)))
-    ]
+    moved = replace(clean.odometry, stamps_ns=clean.odometry.stamps_ns + 40_000_000)
+    middle = len(moved) // 2
+    halves = slice(0, middle), slice(middle, None)
+    parts = [replace(clean, name=f"part {i}", odometry=moved.only(s), clock="one") for i, s in enumerate(halves)]
     shared = fit_robot(parts, (), law_name="diffusion").clocks
     assert shared.clocks[0] == shared.clocks[1]
     assert abs(shared.clocks[0].offset_s - 0.04) < 4.0 * shared.errors[0][0] < 0.01
@@ -277,12 +270,8 @@ LATE_S = 0.06
 def with_unequal_wheels(seed: int, late_s: float = 0.0):
     """Return three minutes of a robot with unequal wheels beside a total station, which measures positions only."""
     run = as_recording(simulate(seed, "unequal_wheels", duration_s=180.0, robot_seed=93), f"drive {seed}")
-    return without_headings(run, late_s)
-
-
-def without_headings(run, late_s=0.0):
-    xyt = np.where([True, True, False], run.truth.xyt, np.nan)
-    return replace(run, truth=replace(run.truth, xyt=xyt, stamps_ns=run.truth.stamps_ns + round(late_s * 1e9)))
+    truth = positions_only(run).truth
+    return replace(run, truth=replace(truth, stamps_ns=truth.stamps_ns + round(late_s * 1e9)))
 
 
 @pytest.fixture(scope="module")
@@ -325,7 +314,7 @@ def test_slip_at_starts_and_stops_is_not_passed_off_as_a_clock():
 
 
 def test_an_effect_of_the_heading_in_the_world_is_taken_out_of_a_recording_whose_truth_has_none():
-    recording = without_headings(as_recording(simulate(93, "slope", duration_s=60.0)))
+    recording = positions_only(as_recording(simulate(93, "slope", duration_s=60.0)))
     slope = effect_from_values("slope", {"creep": 0.01, "direction": 0.5})
     model = MotionModel(preset_named("typical").noise, effects=(slope,))
     clocks = clocks_beside([recording], choose_approach([recording]), model)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from hidden import as_recording
-from wandering import drive, noisy_path, recording, scaled, wander
+from wandering import drive, late, noisy_path, recording, scaled, wander
 
 from odomcorrupt.api.recordings import recording_paths
 from odomcorrupt.effects import effect_from_values
@@ -91,16 +91,10 @@ def test_a_part_of_a_fitted_recording_is_known_as_fitted_and_another_drive_is_no
 def test_a_recording_cut_in_two_has_one_clock_and_the_same_errors(drives, model):
     whole = drives[4]
     rows = len(whole.odometry) // 2
-    parts = [
-        replace(
-            whole,
-            name=str(i),
-            odometry=whole.odometry.only(own),
-            truth=whole.truth.only(own),
-            origin_ns=int(whole.odometry.stamps_ns[own][0]),
-        )
-        for i, own in enumerate((slice(rows), slice(rows, None)))
-    ]
+    parts = []
+    for i, own in enumerate((slice(rows), slice(rows, None))):
+        odometry, truth = whole.odometry.only(own), whole.truth.only(own)
+        parts.append(replace(whole, name=str(i), odometry=odometry, truth=truth, origin_ns=int(odometry.stamps_ns[0])))
     study = one_study([parts[1], *drives[:4], parts[0]])
     clocks = {r.name: (r.clock, r.origin_ns) for r in study}
     assert clocks["0"] == clocks["1"]
@@ -112,11 +106,9 @@ def test_a_recording_cut_in_two_has_one_clock_and_the_same_errors(drives, model)
 
 
 def test_a_recording_that_does_not_determine_its_clock_has_that_of_the_others(drives):
-    offset_ns = 80_000_000
-    late = [replace(r, odometry=Trajectory(r.odometry.stamps_ns + offset_ns, r.odometry.xyt)) for r in drives]
-    late = [replace(r, origin_ns=int(r.odometry.stamps_ns[0])) for r in late]
-    short = replace(late[4], name="short", truth=late[4].truth.only(slice(0, 300)))
-    clocks = find_clocks([*late, short], Approach())
+    moved = [late(r, 0.08) for r in drives]
+    short = replace(moved[4], name="short", truth=moved[4].truth.only(slice(0, 300)))
+    clocks = find_clocks([*moved, short], Approach())
     assert clocks.held == ("short",)
     assert clocks.clocks[-1].offset_s == pytest.approx(0.08, abs=0.02)
     assert clocks.free[-1] == (False, False)
@@ -162,10 +154,7 @@ def run_of(seed, *, truth_m, truth_rad, offset_s=0.0, frame=(0.0, 0.0, 0.0), sec
     """Return a drive of the robot whose odometry goes and turns too far, with a truth and a clock of its own."""
     said = scaled(LONGER, WIDER)
     run = drive(seed, seconds, LOUD, said=said, truth_mm=1e3 * truth_m, truth_rad=truth_rad)
-    stamps = run.odometry.stamps_ns
-    late = Trajectory(stamps + round(offset_s * 1e9), run.odometry.xyt)
-    truth = Trajectory(stamps, compose(np.array(frame), run.truth.xyt))
-    return replace(run, odometry=late, truth=truth, origin_ns=int(late.stamps_ns[0]))
+    return late(replace(run, truth=replace(run.truth, xyt=compose(np.array(frame), run.truth.xyt))), offset_s)
 
 
 @pytest.mark.slow
@@ -194,14 +183,13 @@ def test_a_held_out_recording_is_judged_with_its_own_truth_and_a_clock_found_wit
     runs = {}
     for name, offset_s in (("on time", 0.0), ("late", -1.377)):
         run = drive(8, 200.0, LOUD, said=scaled(turn=3.0), truth_mm=10.0, truth_rad=0.01)
-        late = Trajectory(run.odometry.stamps_ns + round(offset_s * 1e9), run.odometry.xyt)
-        runs[name] = replace(run, name=name, odometry=late, origin_ns=int(late.stamps_ns[0]))
+        runs[name] = late(replace(run, name=name), offset_s)
     effect = effect_from_values("wheelbase", {"e": 2.0})
     model = MotionModel(Noise("diffusion", LOUD), (effect,), setup=Setup(truth=TruthNoise(0.001, 0.001, 0.0)))
     errors = {name: compare([run], {"model": model}) for name, run in runs.items()}
     assert errors["late"].clocks.clocks[0].offset_s == pytest.approx(-1.377, abs=0.03)
-    on_time, late = (errors[name].evaluations[0].ten_second_error_m for name in ("on time", "late"))
-    assert late < 1.1 * on_time
+    on_time_m, late_m = (errors[name].evaluations[0].ten_second_error_m for name in ("on time", "late"))
+    assert late_m < 1.1 * on_time_m
     for compared in errors.values():
         assert compared.evaluations[0].pieces[0].truth.xy_m == pytest.approx(0.01, rel=0.2)
         assert any("was weighted accordingly" in note for note in compared.evaluations[0].notes)
@@ -269,9 +257,7 @@ def test_a_run_with_resets_is_halved_as_one(tmp_path, office, whole, resets_s, p
 
 def test_a_truth_that_lasts_longer_than_the_odometry_is_halved_where_there_is_odometry(office):
     recording = as_recording(office)
-    third = len(recording.odometry) // 3
-    whole = recording.odometry
-    early = replace(recording, odometry=Trajectory(whole.stamps_ns[:third], whole.xyt[:third]))
+    early = replace(recording, odometry=recording.odometry.only(slice(len(recording.odometry) // 3)))
     first, second = (fold.test[0] for fold in split_of([early], [True], 0.5).folds([early]))
     middle_s = (second.truth.stamps_ns[0] - early.odometry.stamps_ns[0]) * 1e-9
     assert middle_s == pytest.approx(160.0 / 6.0, abs=1.0)
@@ -319,7 +305,7 @@ def test_a_run_too_short_for_a_fit_of_its_own_is_a_part_of_the_longest(office):
 
 def test_a_model_of_a_drive_too_short_for_halves_is_judged_on_the_fitted_data_and_says_so(office):
     whole = as_recording(office, "short")
-    short = replace(whole, truth=Trajectory(whole.truth.stamps_ns[:1500], whole.truth.xyt[:1500]))
+    short = replace(whole, truth=whole.truth.only(slice(1500)))
     found = judged([short])
     assert found.judged_on == "fitted data"
     assert "on the fitted data" in comparison_text(found)
@@ -328,9 +314,9 @@ def test_a_model_of_a_drive_too_short_for_halves_is_judged_on_the_fitted_data_an
 
 def test_a_recording_without_any_time_in_common_is_named(office):
     recording = as_recording(office, "late")
-    late = Trajectory(recording.truth.stamps_ns + 1000 * SECOND_NS, recording.truth.xyt)
+    early = late(recording, -1000.0)
     with pytest.raises(RecordingError, match="late: odometry and truth overlap in 0 truth samples"):
-        intervals_of(replace(recording, truth=late), 0.5)
+        intervals_of(early, 0.5)
 
 
 NOISE = Coefficients(0.01, 0.01, 0.01, 0.005)

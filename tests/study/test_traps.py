@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hidden import as_recording, library_candidates, ten_second_error
-from wandering import PLANTED, RATE_HZ, drive, noisy_path, recording, wander
+from wandering import PLANTED, RATE_HZ, drive, late, noisy_path, positions_only, recording, wander
 
 from odomcorrupt.effects import registry
 from odomcorrupt.geometry.se2 import Increments, accumulate, increments
-from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import Segment, simulate, simulate_without
 from odomcorrupt.study.estimate.calibrate import coefficient_intervals
@@ -55,8 +54,8 @@ def test_2_drivers_do_not_carry_the_noise_they_are_regressed_on():
 def test_4_an_offset_is_estimated_without_the_bias_of_a_smoothed_derivative():
     offsets, errors = [], []
     for seed in range(25, 33):
-        late = as_recording(simulate(seed, "time_offset", duration_s=180.0, parameters={"offset": 0.03}))
-        clocks = find_clocks([late], choose_approach([late]))
+        run = as_recording(simulate(seed, "time_offset", duration_s=180.0, parameters={"offset": 0.03}))
+        clocks = find_clocks([run], choose_approach([run]))
         offsets.append(clocks.clocks[0].offset_s)
         errors.append(clocks.errors[0][0])
     assert np.max(np.abs(np.subtract(offsets, 0.03) / errors)) < 3.0
@@ -65,13 +64,12 @@ def test_4_an_offset_is_estimated_without_the_bias_of_a_smoothed_derivative():
 
 def test_4_an_offset_that_rounded_or_late_stamps_or_a_scanners_clock_hide_needs_no_evidence():
     run = as_recording(simulate(26, None, duration_s=120.0))
-    stamps = run.odometry.stamps_ns + 700_000
-    hidden = replace(run, odometry=Trajectory(stamps, run.odometry.xyt), origin_ns=int(stamps[0]))
+    hidden = late(run, 7e-4)
     assert not find_clocks([hidden], choose_approach([hidden])).free[0][0]
-    rounded, late = (replace(hidden, **known) for known in ({"stamp_error_s": 0.003}, {"stamp_jitter_s": 0.004}))
+    rounded, jittered = (replace(hidden, **known) for known in ({"stamp_error_s": 0.003}, {"stamp_jitter_s": 0.004}))
     covariance = np.tile(np.diag([1e-6, 1e-6, 1e-6]), (len(hidden.truth), 1, 1))
     scanned = replace(hidden, truth=replace(hidden.truth, covariance=covariance))
-    for known in (rounded, late, scanned):
+    for known in (rounded, jittered, scanned):
         clocks = find_clocks([known], choose_approach([known]))
         assert clocks.free[0][0]
         assert clocks.clocks[0].offset_s == pytest.approx(0.0007, abs=3.0 * clocks.errors[0][0])
@@ -82,9 +80,7 @@ def test_5_nodes_of_a_truth_that_wanders_lie_farther_apart():
     sharp = as_recording(simulate(26, None, duration_s=120.0))
     assert choose_approach([seen]).spacing_s > choose_approach([sharp]).spacing_s
     assert choose_approach([sharp, seen]) == choose_approach([seen])
-    blind = sharp.truth.xyt * [1.0, 1.0, np.nan]
-    positions = replace(sharp, truth=Trajectory(sharp.truth.stamps_ns, blind))
-    assert choose_approach([positions]).spacing_s > choose_approach([seen]).spacing_s
+    assert choose_approach([positions_only(sharp)]).spacing_s > choose_approach([seen]).spacing_s
 
 
 def test_8_a_window_may_turn_more_than_once_and_a_coefficient_may_be_zero():
@@ -130,10 +126,8 @@ def steered_on_the_truth(seed: int, seconds: float = 300.0) -> Recording:
         slip = rng.standard_normal(2) * np.array([0.004, 0.006]) * np.sqrt(np.abs(wheels[i, 0]))
         body[i] = wheels[i] + slip
         way, heading = way + body[i, 0], heading + body[i, 1]
-    paths = [accumulate(np.zeros(3), Increments(p[:, 0].copy(), np.zeros(n), p[:, 1].copy())) for p in (wheels, body)]
-    seen = paths[1] + rng.standard_normal((n + 1, 3)) * [0.002, 0.002, 0.003]
-    stamps = (np.arange(n + 1) * 1e9 * dt).astype(np.int64)
-    return Recording("steered", Trajectory(stamps, paths[0]), Trajectory(stamps, seen), 0, 0.4)
+    turned, moved = (Increments(p[:, 0].copy(), np.zeros(n), p[:, 1].copy()) for p in (wheels, body))
+    return replace(recording(moved, accumulate(np.zeros(3), turned), truth_mm=2.0, seed=seed), track_m=0.4)
 
 
 def test_2_a_controller_that_steers_on_the_truth_is_no_slip():
@@ -202,13 +196,10 @@ def test_3_a_cause_is_linearised_again_where_it_was_found():
 
 def test_4_every_recording_has_a_clock_of_its_own_with_a_skew(control):
     run, fitted = control
-    moved = []
-    for name, offset_s, rate in (("a", 0.12, 4e-4), ("b", -0.3, -3e-4)):
-        t_ns = run.odometry.stamps_ns - run.origin_ns
-        stamps = run.odometry.stamps_ns + np.round(offset_s * 1e9 + rate * t_ns).astype(np.int64)
-        moved.append(replace(run, name=name, odometry=Trajectory(stamps, run.odometry.xyt), origin_ns=int(stamps[0])))
+    planted = (0.12, 4e-4), (-0.3, -3e-4)
+    moved = [replace(late(run, *one), name=name) for name, one in zip("ab", planted, strict=True)]
     clocks = find_clocks(moved, fitted.problem.approach)
-    for clock, (offset_s, rate) in zip(clocks.clocks, ((0.12, 4e-4), (-0.3, -3e-4)), strict=True):
+    for clock, (offset_s, rate) in zip(clocks.clocks, planted, strict=True):
         assert clock.offset_s == pytest.approx(offset_s, abs=0.004)
         assert clock.rate == pytest.approx(rate, abs=3e-5)
 
@@ -220,10 +211,8 @@ def slipping(every: int) -> Recording:
     body = Increments(steps.ds_m - lost, steps.dl_m, steps.dtheta_rad)
     rng = np.random.default_rng(63)
     rough = body.ds_m + rng.standard_normal(len(body)) * 0.003 * np.sqrt(np.abs(body.ds_m))
-    truth = accumulate(np.zeros(3), Increments(rough, body.dl_m, body.dtheta_rad))
-    seen = truth + rng.standard_normal(truth.shape) * [0.001, 0.001, 0.001]
-    stamps = (np.arange(len(truth)) * 2e7).astype(np.int64)
-    return Recording("slipping", Trajectory(stamps, accumulate(np.zeros(3), steps)), Trajectory(stamps, seen), 0, 0.4)
+    run = recording(replace(body, ds_m=rough), accumulate(np.zeros(3), steps), truth_mm=1.0, truth_rad=1e-3, seed=63)
+    return replace(run, track_m=0.4)
 
 
 def test_7_few_outliers_are_weighted_down_and_many_are_signal():
@@ -242,9 +231,7 @@ def test_10_a_robot_that_goes_sideways_has_a_scale_and_a_noise_there_too():
         1.02 * holonomic.dl_m + 0.006 * rng.standard_normal(len(steps)) * np.sqrt(np.abs(holonomic.dl_m)),
         1.02 * holonomic.dtheta_rad,
     )
-    truth = accumulate(np.zeros(3), body) + rng.standard_normal((len(steps) + 1, 3)) * [0.001, 0.001, 0.001]
-    stamps = (np.arange(len(truth)) * 2e7).astype(np.int64)
-    run = Recording("sideways", Trajectory(stamps, accumulate(np.zeros(3), holonomic)), Trajectory(stamps, truth), 0)
+    run = recording(body, accumulate(np.zeros(3), holonomic), truth_mm=1.0, truth_rad=1e-3, seed=65)
     problem = pose_problem([run], approach=choose_approach([run]))
     assert np.abs(problem.steps.dl_m).sum() > 0.5 * np.abs(holonomic.dl_m).sum()
     fitted = fit([run], [registry()["wheel_scale"]()], approach=choose_approach([run]))

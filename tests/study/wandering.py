@@ -1,5 +1,7 @@
 """Drives for tests of the study: a unicycle that wanders through an office, and recordings of it."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from odomcorrupt.geometry.se2 import Increments, accumulate
@@ -74,6 +76,31 @@ def drive(seed, seconds=240.0, noise=QUIET, *, said=None, driven=None, **truth):
     steps = wander(seed, seconds)
     reported, true = (change(steps) if change else steps for change in (said, driven))
     return recording(true, noisy_path(reported, noise, seed), seed=seed, **truth)
+
+
+def late(run, offset_s, rate=0.0):
+    """Return the recording with stamps of the odometry that are later, by so much at its start."""
+    since_ns = run.odometry.stamps_ns - run.origin_ns
+    stamps = run.odometry.stamps_ns + np.round(offset_s * 1e9 + rate * since_ns).astype(np.int64)
+    return replace(run, odometry=replace(run.odometry, stamps_ns=stamps), origin_ns=int(stamps[0]))
+
+
+def positions_only(run, every=1):
+    """Return the recording with one of so many positions of its truth, and none of its headings."""
+    truth = run.truth.only(slice(None, None, every))
+    return replace(run, truth=replace(truth, xyt=np.where([True, True, False], truth.xyt, np.nan)))
+
+
+def slewed(slips, degrees):
+    """Return what turns the steps by so much within a second from each of these times, s."""
+
+    def turned(steps):
+        more = np.zeros(len(steps))
+        for at in slips:
+            more[at * 50 : at * 50 + 50] = np.radians(degrees) / 50.0
+        return replace(steps, dtheta_rad=steps.dtheta_rad + more)
+
+    return turned
 
 
 def scaled(travel=1.0, turn=1.0):
