@@ -5,6 +5,7 @@ import os
 import struct
 import threading
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 from unittest.mock import patch
@@ -260,17 +261,30 @@ def mcap_record(opcode, *parts):
     return struct.pack("<BQ", opcode, sum(map(len, parts))) + b"".join(parts)
 
 
-def damaged_copies_fail(source, tmp_path, offsets, suffix):
-    """Cut a bag at offsets; return those cuts that went through or left something behind."""
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+
+
+def mcap_rewritten(data, change):
+    """Return an MCAP whose records were changed one by one; without a summary, whose offsets would be wrong."""
+    out = [MCAP_MAGIC]
+    for opcode, begin, end in mcap_record_places(data):
+        out += [mcap_record(*one) for one in change(opcode, data[begin + 9 : end])]
+        if opcode == 15:
+            break
+    return b"".join([*out, mcap_record(2, bytes(20)), MCAP_MAGIC])
+
+
+def damaged_copies_fail(source, tmp_path, offsets, suffix, *, piped=True):
+    """Cut a bag at offsets, in a file and in a pipe; return those cuts that went through or left something behind."""
     data = source.read_bytes()
     cut, target = tmp_path / f"cut{suffix}", tmp_path / f"out{suffix}"
     wrong = []
-    for offset in offsets:
+    for offset, through in product(offsets, [cut, None] if piped else [cut]):
         cut.write_bytes(data[:offset])
         try:
-            copy(cut, target)
+            copy(through, target, stdin=None if through else io.BytesIO(data[:offset]))
         except Exception as error:  # noqa: BLE001 - which error it is, is the question
-            if type(error).__name__ != "BagError" or str(tmp_path) not in str(error):
+            if type(error).__name__ != "BagError" or (str(tmp_path) if through else "stdin") not in str(error):
                 wrong.append((offset, repr(error)))
         else:
             wrong.append((offset, "went through"))

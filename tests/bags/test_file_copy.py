@@ -33,7 +33,7 @@ def full(*_words):
 def corrupt(source, target, threads=2, *, recover=False, compression=None, **options):
     container = Container(threads=threads, recover=recover, compression=compression, overwrite=True)
     corrupt_bag(source, target, MODEL, seed=7, run=0, options=Options(**options), container=container)
-    return target.read_bytes()
+    return (target if target.is_file() else target / OFFICE_DB.name).read_bytes()
 
 
 def messages(name):
@@ -179,19 +179,15 @@ def test_an_input_that_is_moved_away_is_written_as_it_was_read(bag, replaced, tm
     assert not copied
 
 
-def test_an_interrupt_ends_the_copy(bag, tmp_path, monkeypatch):
-    def interrupted(*_words):
-        raise KeyboardInterrupt
+def interrupted(*_words):
+    raise KeyboardInterrupt
 
+
+def test_an_interrupt_ends_the_copy(bag, tmp_path, monkeypatch):
     monkeypatch.setattr(Output, "commit", interrupted)
     with pytest.raises(KeyboardInterrupt):
         corrupt(bag, tmp_path / f"out{bag.suffix}")
     assert not [*tmp_path.iterdir(), *threading.enumerate()[1:]]
-
-
-def corrupt_database(source, target, threads, **options):
-    corrupt_bag(source, target, MODEL, seed=7, run=0, options=Options(**options), container=Container(threads=threads))
-    return (target if target.is_file() else target / OFFICE_DB.name).read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -201,11 +197,11 @@ def corrupt_database(source, target, threads, **options):
 )  # fmt: skip
 def test_the_thread_changes_no_byte(source, held, options, slow, tmp_path, monkeypatch):
     monkeypatch.setattr(sqlite_writer, "_HELD_BYTES", held)
-    one = corrupt_database(source, tmp_path / f"one{source.suffix}", 1, **options)
+    one = corrupt(source, tmp_path / f"one{source.suffix}", 1, **options)
     if slow:
         copy = os.copy_file_range
         monkeypatch.setattr("os.copy_file_range", lambda *words: (time.sleep(0.1), copy(*words))[1])
-    assert corrupt_database(source, tmp_path / f"two{source.suffix}", 2, **options) == one
+    assert corrupt(source, tmp_path / f"two{source.suffix}", 2, **options) == one
     assert threading.active_count() == 1
 
 
@@ -215,15 +211,15 @@ def test_a_copy_of_a_database_that_fails_is_a_line(source, threads, tmp_path, mo
     monkeypatch.setattr("os.copy_file_range", full)
     monkeypatch.setattr(shutil, "copyfile", full)
     with pytest.raises(BagError, match="cannot be written: No space left on device"):
-        corrupt_database(source, tmp_path / f"out{source.suffix}", threads)
+        corrupt(source, tmp_path / f"out{source.suffix}", threads)
     assert list(tmp_path.iterdir()) == []
     assert threading.active_count() == 1
 
 
 def test_without_such_a_call_the_copy_is_made_in_python(tmp_path, monkeypatch):
-    one = corrupt_database(OFFICE_DB, tmp_path / "one.db3", 2)
+    one = corrupt(OFFICE_DB, tmp_path / "one.db3", 2)
     monkeypatch.delattr("os.copy_file_range")
-    assert corrupt_database(OFFICE_DB, tmp_path / "two.db3", 2) == one
+    assert corrupt(OFFICE_DB, tmp_path / "two.db3", 2) == one
 
 
 def test_an_interrupt_ends_the_copy_too(tmp_path, monkeypatch):
@@ -231,13 +227,10 @@ def test_an_interrupt_ends_the_copy_too(tmp_path, monkeypatch):
         time.sleep(0.01)
         return 1
 
-    def interrupted(*_words):
-        raise KeyboardInterrupt
-
     monkeypatch.setattr("os.copy_file_range", endless)
     monkeypatch.setattr("odomcorrupt.corruption.transform.Transform.blocks", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        corrupt_database(OFFICE_DB, tmp_path / "out.db3", 2)
+        corrupt(OFFICE_DB, tmp_path / "out.db3", 2)
     assert list(tmp_path.iterdir()) == []
     assert threading.active_count() == 1
 

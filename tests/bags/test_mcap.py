@@ -3,7 +3,7 @@
 import io
 import struct
 import zlib
-from itertools import product
+from itertools import count, product
 
 import numpy as np
 import pytest
@@ -19,6 +19,7 @@ from oracles import (
     mcap_messages,
     mcap_record_places,
     mcap_records,
+    mcap_rewritten,
     office_variant,
     require_shifted,
     shift,
@@ -129,49 +130,44 @@ def test_provenance_is_metadata(tmp_path):
 @pytest.mark.parametrize("harm", ["missing", "unordered", "shifted", "short", "other chunk's"])
 def test_wrong_message_indexes_do_not_matter(tmp_path, harm):
     data = OFFICE_MCAP.read_bytes()
-    places = mcap_record_places(data)
-    indexes = [data[begin:end] for opcode, begin, end in places if opcode == MESSAGE_INDEX]
-    out = b""
-    for number, (opcode, begin, end) in enumerate(places):
-        record = data[begin:end]
-        if opcode == MESSAGE_INDEX:
-            head, entries = record[:15], record[15:]
-            pairs = [entries[at : at + 16] for at in range(0, len(entries), 16)]
-            if harm == "missing" and number % 3:
-                continue
-            if harm == "unordered":
-                pairs.reverse()
-            if harm == "shifted":
-                pairs[0] = struct.pack("<QQ", 0, 2**63 if number % 2 else 3)
-            if harm == "short":
-                pairs[0] = pairs[-1]
-            record = head + b"".join(pairs)
-            if harm == "other chunk's":
-                record = indexes[number % len(indexes)]
-        out += record
-    damaged = tmp_path / "in.mcap"
-    # Without a summary that points at the old places.
-    cut = out.index(struct.pack("<BQ", DATA_END, 4))
-    footer = struct.pack("<BQI", DATA_END, 4, 0) + struct.pack("<BQQQI", FOOTER, 20, 0, 0, 0) + data[:8]
-    damaged.write_bytes(data[:8] + out[:cut] + footer)
-    copy(damaged, tmp_path / "out.mcap")
+    indexes = [data[begin + 9 : end] for opcode, begin, end in mcap_record_places(data) if opcode == MESSAGE_INDEX]
+    numbers = count()
+
+    def harmed(opcode, content):
+        number = next(numbers)
+        if opcode != MESSAGE_INDEX:
+            return [(opcode, bytes(4) if opcode == DATA_END else content)]
+        pairs = [content[at : at + 16] for at in range(6, len(content), 16)]
+        if harm == "missing" and number % 3:
+            return []
+        if harm == "unordered":
+            pairs.reverse()
+        if harm == "shifted":
+            pairs[0] = struct.pack("<QQ", 0, 2**63 if number % 2 else 3)
+        if harm == "short":
+            pairs[0] = pairs[-1]
+        wrong = indexes[number % len(indexes)] if harm == "other chunk's" else content[:6] + b"".join(pairs)
+        return [(opcode, wrong)]
+
+    (tmp_path / "in.mcap").write_bytes(mcap_rewritten(data, harmed))
+    copy(tmp_path / "in.mcap", tmp_path / "out.mcap")
     assert mcap_messages(tmp_path / "out.mcap") == mcap_messages(OFFICE_MCAP)
 
 
 def test_records_of_applications_come_through_in_place(tmp_path):
-    data = OFFICE_MCAP.read_bytes()
-    places = mcap_record_places(data)
-    third = [begin for opcode, begin, _ in places if opcode == CHUNK][2]
-    end = next(begin for opcode, begin, _ in places if opcode == DATA_END)
-    private = struct.pack("<BQ", 0x91, 9_000_000) + bytes(range(250)) * 36_000
-    footer = struct.pack("<BQI", DATA_END, 4, 0) + struct.pack("<BQQQI", FOOTER, 20, 0, 0, 0) + data[:8]
+    private, chunks = bytes(range(250)) * 36_000, count()
+
+    def before_the_third_chunk(opcode, content):
+        third = opcode == CHUNK and next(chunks) == 2
+        return [*[(0x91, private)] * third, (opcode, bytes(4) if opcode == DATA_END else content)]
+
     source = tmp_path / "in.mcap"
-    source.write_bytes(data[:third] + private + data[third:end] + footer)
+    source.write_bytes(mcap_rewritten(OFFICE_MCAP.read_bytes(), before_the_third_chunk))
     copy(source, tmp_path / "out.mcap", compression="none")
     out = (tmp_path / "out.mcap").read_bytes()
     found = mcap_record_places(out)
     position = next(n for n, place in enumerate(found) if place[0] == 0x91)
-    assert out[found[position][1] : found[position][2]] == private
+    assert out[found[position][1] + 9 : found[position][2]] == private
     assert sum(place[0] == CHUNK for place in found[:position]) == 2
     assert mcap_messages(tmp_path / "out.mcap") == mcap_messages(OFFICE_MCAP)
 
@@ -180,14 +176,6 @@ def test_a_bag_cut_anywhere_is_an_error_and_leaves_nothing(variant, tmp_path):
     size = variant.stat().st_size
     offsets = [*range(0, 12, 3), *np.linspace(20, size - 1, 12).astype(int).tolist(), *range(size - 40, size, 5)]
     assert damaged_copies_fail(variant, tmp_path, offsets, ".mcap") == []
-
-
-def test_a_pipe_cut_anywhere_is_an_error(tmp_path):
-    data = OFFICE_MCAP.read_bytes()
-    for offset in [*range(0, 12, 3), *np.linspace(20, len(data) - 1, 15).astype(int).tolist()]:
-        with pytest.raises(BagError, match="stdin"):
-            copy(None, tmp_path / "out.mcap", stdin=io.BytesIO(data[:offset]))
-        assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("codec", ["zstd", "lz4", "none"])
