@@ -1,9 +1,10 @@
-"""Damage and bad luck, at the command line: one line, the right exit code, input untouched, nothing left behind."""
+"""Damage, undecodable messages, bad luck: one line, the right exit code, input untouched, nothing left behind."""
 
 import contextlib
 import io
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -13,12 +14,13 @@ import sys
 import tempfile
 import time
 import zlib
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zstandard
-from bagged import rows_of
+from bagged import messages_in, rows_of
 from crash import rewrites
 from mutations import mcap_records
 
@@ -30,18 +32,22 @@ OURS = [sys.executable, "-m", "odomcorrupt"]
 NOBODY = 65534
 
 
-def call(*words, preexec_fn=None):
-    """Run the program, in a process of its own where its limits are changed; return exit code and what was said."""
-    if preexec_fn is None:
-        with contextlib.redirect_stderr(io.StringIO()) as said:
+def call(*words, limit=None, stdin=subprocess.DEVNULL):
+    """Run the program, in a process of its own where a resource (its name, most) is limited; return code and stderr."""
+    if limit is None:
+        with contextlib.redirect_stderr(io.StringIO()) as said, contextlib.redirect_stdout(io.StringIO()):
             code = run([str(word) for word in words])
         return code, said.getvalue()
+
+    def limited():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(limit[0], (limit[1], limit[1]))
+
     done = subprocess.run(
-        [*OURS, *map(str, words)],
-        stdin=subprocess.DEVNULL, capture_output=True, timeout=60, check=False, preexec_fn=preexec_fn,
-        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},  # Python cuts bytecode at the limit, and reads it later
+        [sys.executable, "-B", *OURS[1:], *map(str, words)],  # bytecode would be cut at the limit, and read later
+        stdin=stdin, capture_output=True, text=True, timeout=60, check=False, preexec_fn=limited,
     )  # fmt: skip
-    return done.returncode, done.stderr.decode()
+    return done.returncode, done.stderr
 
 
 def laid(tmp_path, data, name="in.mcap"):
@@ -96,12 +102,7 @@ def test_a_chunk_that_lies_is_refused_before_it_takes_memory(chunk, words, bags,
     begin, end = next((begin, end) for opcode, begin, end in mcap_records(data) if opcode == 6)
     # the footer, whose numbers would be wrong, tells of no summary
     source, target = laid(tmp_path, data[:begin] + chunk() + data[end:-28] + bytes(20) + data[-8:])
-    megabytes = 1_500
-
-    def bound():
-        resource.setrlimit(resource.RLIMIT_AS, (megabytes << 20, megabytes << 20))
-
-    assert words in refused(source, target, preexec_fn=bound)
+    assert words in refused(source, target, limit=(resource.RLIMIT_AS, 1_500 << 20))
 
 
 def test_a_wrong_definition_is_carried_and_a_wrong_type_is_reported(bags, tmp_path):
@@ -145,12 +146,7 @@ def _without_checksums(data):
 @pytest.mark.parametrize("kind", ["mcap zstd", "ros1 lz4", "sqlite3 file", "sqlite3 directory", "mcap directory"])
 def test_a_full_disk_is_said_and_leaves_nothing(kind, bags, tmp_path):
     source = bags[kind].path
-
-    def small():
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (6000, 6000))
-
-    code, said = call(source, tmp_path / source.name, "--seed", "7", preexec_fn=small)
+    code, said = call(source, tmp_path / source.name, "--seed", "7", limit=(resource.RLIMIT_FSIZE, 6000))
     assert (code, said.count("\n")) == (1, 1), said
     assert "cannot be written" in said or "sqlite3 reports" in said
     assert not list(tmp_path.iterdir())
@@ -282,20 +278,10 @@ FIXTURES = Path(__file__).parents[2] / "fixtures"
 OFFICE = FIXTURES / "office.mcap"
 
 
-def limited(*words, limit, most, stdin=subprocess.DEVNULL):
-    """Return exit code and stderr of a command under a resource limit, which would cut cached bytecode short."""
-    done = subprocess.run(
-        [sys.executable, "-B", "-m", "odomcorrupt", *map(str, words)],
-        stdin=stdin, capture_output=True, text=True, check=False, timeout=40,
-        preexec_fn=lambda: resource.setrlimit(limit, (most, most)),
-    )  # fmt: skip
-    return done.returncode, done.stderr
-
-
 @pytest.mark.parametrize("most", [12, 16])
 def test_a_batch_with_few_descriptors_ends_and_says_why(most, tmp_path):
     words = ["batch", OFFICE, tmp_path / "runs", "--runs", "3", "--jobs", "2", "--seed", "1", "-q"]
-    code, said = limited(*words, limit=resource.RLIMIT_NOFILE, most=most)
+    code, said = call(*words, limit=(resource.RLIMIT_NOFILE, most))
     if code:
         assert code == 1
         assert said.startswith("odomcorrupt: ")
@@ -317,7 +303,7 @@ def test_a_disk_that_is_full_is_named_as_such(how, tmp_path):
         "cut database": ["info", cut, "--recover"],
     }[how]
     with OFFICE.open("rb") as stdin:
-        code, said = limited(*words, limit=resource.RLIMIT_FSIZE, most=100_000, stdin=stdin)
+        code, said = call(*words, limit=(resource.RLIMIT_FSIZE, 100_000), stdin=stdin)
     assert code == 1
     assert said.count("\n") == 1
     assert "cannot be " in said
@@ -330,3 +316,114 @@ def test_a_disk_that_is_full_is_named_as_such(how, tmp_path):
 def test_killed_at_any_moment_nothing_half_stands_under_a_name(tmp_path):
     said = rewrites(tmp_path, 8, random.Random(2))  # noqa: S311 - moments, no secrets
     assert said.startswith("8 ")
+
+
+KINDS = (
+    "mcap zstd", "mcap none", "mcap unchunked", "mcap of ros1", "mcap directory", "ros1 none", "ros1 bz2",
+    "sqlite3 file", "sqlite3 directory",
+)  # fmt: skip
+DAMAGED = {"/odom": {3, 4, 11}, "/tf": {0, 9}}
+"""Which messages of a topic are damaged, by their order."""
+
+
+def damaged(source, target, damage=DAMAGED, compression=None):
+    """Copy a bag, all of whose checksums are true, with the length of the first string of some messages changed."""
+    seen = dict.fromkeys(damage, 0)
+    with open_reader(source) as reader, open_writer(target, reader, compression=compression) as writer:
+        for block in reader.blocks():
+            for channel in reader.channels.values():
+                for layout in locate(block, channel) if channel.topic in damage else ():
+                    for start in layout.starts:
+                        if seen[channel.topic] in damage[channel.topic]:
+                            at = start + layout.items[0].stamp + 8  # in what a frame's length is
+                            block.data[at : at + 4] = np.frombuffer(b"\xff\xff\xff\x7f", dtype=np.uint8)
+                        seen[channel.topic] += 1
+            writer.write(block)
+    return target
+
+
+def without_damaged(everything, damage=DAMAGED):
+    seen = dict.fromkeys(damage, 0)
+    kept = []
+    for message in everything:
+        topic = message[0]
+        if topic in damage:
+            seen[topic] += 1
+            if seen[topic] - 1 in damage[topic]:
+                continue
+        kept.append(message)
+    return kept
+
+
+@pytest.mark.parametrize("compression", [None, "message"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_they_are_left_out_alone_and_counted_by_topic(kind, compression, bags, tmp_path):
+    source = bags[kind].path
+    if compression and not source.is_dir():
+        pytest.skip("only the messages of a directory are compressed one by one")
+    bad = damaged(source, tmp_path / ("bad" + source.suffix), compression=compression)
+    out = tmp_path / ("out" + source.suffix)
+    code, said = call(bad, out, "--seed", "7")
+    assert (code, said.count("\n"), said[:13]) == (1, 1, "odomcorrupt: "), said
+    assert "--recover leaves such messages out" in said
+    assert not out.exists()
+
+    code, said = call(bad, out, "--seed", "7", "--recover", "-v")
+    assert code == 3, said
+    lost = Counter()
+    for count, topic in re.findall(r"(\d+) of the messages of (\S+) cannot be decoded: left out", said):
+        lost[topic] += int(count)
+    assert lost == {topic: len(places) for topic, places in DAMAGED.items()}
+    files = len(list(bad.glob("*.mcap"))) if bad.is_dir() else 1
+    assert said.count("Lost: ") <= 2 * max(files, 1)
+    saved = messages_in(out)
+    expected = without_damaged(messages_in(source))
+    assert [one[:2] for one in saved] == [one[:2] for one in expected]
+    untouched = [one for one in expected if one[0] not in DAMAGED]
+    assert [one for one in saved if one[0] not in DAMAGED] == untouched
+    assert call("info", out)[0] == 0
+
+
+@pytest.mark.parametrize("kind", ["mcap zstd", "ros1 none", "sqlite3 file"])
+def test_each_is_read_by_other_formats_too(kind, bags, tmp_path):
+    bad = damaged(bags[kind].path, tmp_path / ("bad" + bags[kind].path.suffix))
+    out = tmp_path / "out.mcap"
+    assert call(bad, out, "--seed", "7", "--recover")[0] == 3
+    assert len(messages_in(out)) == bags[kind].count - sum(map(len, DAMAGED.values()))
+
+
+@pytest.mark.parametrize("kind", ["mcap zstd", "ros1 none", "sqlite3 file"])
+def test_what_is_not_corrupted_is_left_out_too_so_that_the_output_can_be_studied(kind, bags, tmp_path):
+    source = bags[kind].path
+    damage = {"/imu": {1, 2}}
+    bad = damaged(source, tmp_path / ("bad" + source.suffix), damage)
+    assert call(bad, tmp_path / ("whole" + source.suffix), "--seed", "7")[0] == 0
+    out = tmp_path / ("out" + source.suffix)
+    code, said = call(bad, out, "--seed", "7", "--recover")
+    assert (code, "LOST" in said, "2 of the messages of /imu cannot be" in " ".join(said.split())) == (3, True, True), (
+        said
+    )
+    assert [one for one in messages_in(out) if one[0] == "/imu"] == [
+        one for one in without_damaged(messages_in(source), damage) if one[0] == "/imu"
+    ]
+
+
+def test_an_encoding_that_is_not_read_is_not_damage(bags, tmp_path):
+    source = bags["mcap zstd"].path
+    parameters = tmp_path / "parameters.mcap"
+    with open_reader(source) as reader, open_writer(parameters, reader) as writer:
+        for block in reader.blocks():
+            imu = next((one.id for one in reader.channels.values() if one.topic == "/imu"), -1)
+            for start in block.table["offset"][block.table["channel"] == imu]:
+                block.data[start + 1] = 3  # a parameter list
+            writer.write(block)
+    out = tmp_path / "out.mcap"
+    assert call(parameters, out, "--seed", "7", "--recover")[0] == 0
+    assert len(messages_in(out)) == bags["mcap zstd"].count
+
+
+def test_info_counts_them(bags, tmp_path):
+    bad = damaged(bags["ros1 none"].path, tmp_path / "bad.bag")
+    code, said = call("info", bad, "--recover")
+    assert (code, said.count("Lost: ")) == (3, 2)
+    assert "3 of the messages of /odom" in said
