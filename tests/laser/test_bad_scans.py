@@ -15,7 +15,7 @@ from odomcorrupt.laser.calibrate import calibrate
 from odomcorrupt.laser.mapping import largest_part, laser_brief, laser_maps
 from odomcorrupt.laser.scans import read_sweeps
 from odomcorrupt.study.io import Source, read_runs
-from odomcorrupt.study.io.laser_truth import alerts_of, laser_run, truth_of
+from odomcorrupt.study.io.laser_truth import alerts_of, end_seen, laser_run, truth_of
 from odomcorrupt.study.io.reader import read_odometry
 from odomcorrupt.study.select.selection import learn
 
@@ -180,3 +180,24 @@ def test_a_map_in_two_parts_is_drawn_of_the_larger_one_and_scans_that_are_missin
     moved = re.search(r"the robot was moved by (\d+) deg", alert)
     assert moved is not None
     assert float(moved[1]) == pytest.approx(20.0, abs=4.0)
+
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.mark.parametrize("mount", [(0.1, 0.0, 0.0), (-0.05, 0.12, np.pi / 2)], ids=["ahead", "turned"])
+def test_where_a_drive_ended_is_seen_by_its_scans(tmp_path, mount):
+    _, poses, _, _ = raycaster.there_and_back(*raycaster.path()[2:])
+    real = between(poses[0], poses[-1])
+    assert np.hypot(*real[:2]) > 0.15
+    bag = raycaster.drive(tmp_path / "run.mcap", mount=mount, stated=mount, returns=True, off=1.05)
+    found = end_seen(bag, "run", None, "/scan")
+    assert found == pytest.approx(real, abs=0.01)
+
+
+def test_a_drive_that_ends_elsewhere_is_refused_in_one_line(tmp_path, capsys):
+    bag = raycaster.drive(tmp_path / "run.mcap", stated=(0.1, 0.0, 0.0))
+    assert run(["fit", str(bag), "--returns", "--scan", "/scan"]) == 1
+    said = capsys.readouterr().err.strip()
+    assert "--end" in said
+    assert run(["fit", str(bag), "--end", "1,0,0", "--scan", "/scan"]) == 2

@@ -1,4 +1,4 @@
-"""A gyro in the bag: the axis that is up, its bias and lag, whose heading the odometry has, and what it shows alone."""
+"""A gyro and wheel angles in the bag: axis, bias and its walk, lag, radius and track, and what they show alone."""
 
 import json
 from dataclasses import replace
@@ -7,13 +7,18 @@ import laserbags
 import numpy as np
 import pytest
 
+import odomcorrupt as oc
 from odomcorrupt.cli import run
+from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 from odomcorrupt.simulation import Tracker, simulate
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.outliers import single_events, slip_bursts
+from odomcorrupt.study.estimate.problem import pose_problem
+from odomcorrupt.study.estimate.truth_bias import bias_steps, with_bias_walks
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.gyro import SCALE_ACCURACY as GYRO_SCALE
+from odomcorrupt.study.io.wheel_ticks import find_joints
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.random_effects import outlier_effects
 from odomcorrupt.study.select.selection import learn
@@ -153,3 +158,116 @@ def test_a_gyro_of_another_robot_is_refused_where_it_is_named(tmp_path, capsys):
     )
     assert run(["diagnose", str(path), "--imu", "/imu/data"]) == 1
     assert "turns unlike the odometry" in capsys.readouterr().err
+
+
+def walking(path, seed, walk, cause=None, **options):
+    """Write the bag of a robot with wheels and a gyro whose bias walks (rad/s/sqrt(s))."""
+    simulated = drive(seed, cause, yaw_from="encoders", **options)
+    stamps, rng = simulated.truth_stamps_ns, np.random.default_rng(seed)
+    rate = np.gradient(np.unwrap(simulated.truth_xyt[:, 2]), stamps * 1e-9)
+    bias = BIAS + walk * np.cumsum(rng.normal(size=len(stamps))) / np.sqrt(EXACT.rate_hz)
+    yaw = rate + bias + 0.003 * rng.normal(size=len(stamps))
+    rates = np.column_stack((np.zeros((len(yaw), 2)), yaw))
+    return laserbags.write(
+        path, laserbags.odometry(simulated.odom_stamps_ns, simulated.odom_xyt), laserbags.imu(stamps, rates)
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("walk", [5e-5, 5e-4])
+def test_the_level_of_the_walk_is_estimated_to_a_factor_of_two(tmp_path, walk):
+    runs = list(read_runs(Source(walking(tmp_path / "run.mcap", 5, walk, duration_s=180.0))))
+    (found,) = with_bias_walks(runs, choose_approach(runs))
+    assert 0.5 * walk < found.turn_bias_walk < 2.0 * walk
+
+
+def test_each_drive_has_a_bias_and_a_walk_of_its_own(tmp_path):
+    (run,) = read_runs(Source(walking(tmp_path / "run.mcap", 5, 1e-4, duration_s=60.0)))
+    other = replace(run, name="other", positioned=True)
+    problem = pose_problem([run, run, other], approach=choose_approach([run]))
+    start, steps = bias_steps(problem)
+    assert start.shape[2] == 2
+    for column in np.concatenate((start, steps), axis=2).transpose(2, 0, 1):
+        assert not column[:, :2].any()
+        assert len(np.unique(problem.run[column[:, 2] != 0.0])) == 1
+
+
+@pytest.mark.slow
+def test_a_bias_that_walks_five_times_as_fast_as_usual_is_no_error_of_the_odometry(tmp_path):
+    path = walking(tmp_path / "run.mcap", 5, 5e-4, duration_s=180.0, route="loops")
+    said = oc.diagnose(path).to_dict()
+    assert (said["found"], said["unknown"]) == ([], [])
+
+
+@pytest.mark.slow
+def test_unequal_wheels_are_found_though_the_bias_was_taken_from_an_odometry_that_hardly_rests(tmp_path, monkeypatch):
+    """That bias contains the turns of unequal wheels, so that their inclusion seemed to increase the error."""
+    monkeypatch.setattr("odomcorrupt.study.io.gyro._MIN_STILL_S", 1e9)
+    path = walking(tmp_path / "run.mcap", 4, 1e-4, "unequal_wheels", parameters={"curvature": 0.03}, duration_s=180.0)
+    found = oc.diagnose(path)
+    (one,) = found.to_dict()["found"]
+    assert (one["effect"], one["confidence"] > 0.9) == ("unequal_wheels", True)
+    assert one["parameters"]["curvature"]["value"] == pytest.approx(0.03, abs=0.005)
+    first, last = found.result.sequence.evaluations[0], found.result.sequence.evaluations[-1]
+    assert last.ten_second_error_m < 0.7 * first.ten_second_error_m
+
+
+RADIUS, TRACK = 0.08, 0.46
+
+
+def counting(path, *, tick=None, heading_off=0.0, names=("wheel_left_joint", "wheel_right_joint")):
+    """A drive whose odometry is the sum of wheel angles, and these."""
+    simulated = drive(7, duration_s=80.0, yaw_from="encoders")
+    step = increments(simulated.odom_xyt)
+    turn = step.dtheta_rad * TRACK / 2.0
+    angle = np.cumsum(np.stack((step.ds_m - turn, step.ds_m + turn), axis=1) / RADIUS, axis=0)
+    angle = np.concatenate((np.zeros((1, 2)), angle))
+    if tick is not None:
+        angle = np.floor(angle / tick) * tick
+    other = step.dtheta_rad + heading_off * np.sin(np.arange(len(step.ds_m)) / 40.0) * 0.1
+    odometry = accumulate(simulated.odom_xyt[0], Increments(step.ds_m, step.dl_m, other))
+    return laserbags.write(
+        path,
+        laserbags.odometry(simulated.odom_stamps_ns, odometry),
+        laserbags.joints(simulated.odom_stamps_ns, ("caster", *names), np.column_stack((angle[:, 0] * 0.3, angle))),
+        truth_of(simulated),
+    )
+
+
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        (["caster", "left_wheel", "right_wheel"], ("left_wheel", "right_wheel")),
+        (["wheel_r_joint", "wheel_l_joint"], ("wheel_l_joint", "wheel_r_joint")),
+        (["front_left_wheel", "rear_left_wheel", "front_right_wheel", "rear_right_wheel"], None),
+        (["left_arm", "right_arm"], None),
+    ],
+)
+def test_wheels_are_found_by_their_names_where_there_is_one_each(names, found):
+    assert find_joints(names) == found
+
+
+def test_radius_and_track_are_those_that_the_odometry_sums_with(tmp_path):
+    (recording,) = read_runs(Source(counting(tmp_path / "run.mcap")))
+    assert recording.track_m == pytest.approx(TRACK, rel=2e-3)
+    assert any("wheels of 0.08" in note for note in recording.notes)
+
+
+def test_counts_of_an_encoder_are_seen_and_the_wheels_can_be_the_odometry(tmp_path):
+    tick = 2.0 * np.pi / 1024
+    path = counting(tmp_path / "run.mcap", tick=tick)
+    (recording,) = read_runs(Source(path, joints=("wheel_left_joint", "wheel_right_joint")))
+    assert any("1024 a turn" in note for note in recording.notes)
+    (own,) = read_runs(Source(path))
+    assert recording.odometry.xyt[-1, 2] - recording.odometry.xyt[0, 2] == pytest.approx(
+        own.odometry.xyt[-1, 2] - own.odometry.xyt[0, 2], abs=0.02
+    )
+    assert np.linalg.norm(recording.odometry.xyt[-1, :2] - own.odometry.xyt[-1, :2]) < 0.2
+
+
+def test_wheels_that_the_odometry_does_not_turn_by_are_no_odometry(tmp_path, capsys):
+    path = counting(tmp_path / "run.mcap", heading_off=0.2)
+    assert run(["fit", str(path), "--joints", "wheel_left_joint", "wheel_right_joint"]) == 1
+    assert "turns are not those of" in capsys.readouterr().err
+    assert run(["fit", str(path), "--joints", "wheel_left_joint", "right"]) == 1
+    assert "--joints" in capsys.readouterr().err

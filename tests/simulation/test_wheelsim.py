@@ -1,33 +1,22 @@
-"""The simulator of wheels, and the errors that its causes make."""
+"""The simulator of wheels, the errors that its causes make, and the command that hides and answers what is wrong."""
 
 import dataclasses
+import tomllib
+from hashlib import sha256
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from simulated_manoeuvres import (
-    CIRCLE_LEFT,
-    CIRCLE_RIGHT,
-    FLAWLESS_RIG,
-    FLAWLESS_TRACKER,
-    REST,
-    SPIN_LEFT,
-    STRAIGHT,
-    both,
-    from_start,
-    same,
-    silent,
-    way_m,
-)
 
 import rosmessages
+from odomcorrupt.cli import run
 from odomcorrupt.errors import BagError, TopicError
 from odomcorrupt.simulation import (
-    CAUSES,
     OUTSIDE,
     ROUTES,
     TRACKERS,
     Commands,
+    Rig,
     Segment,
     Tracker,
     read_commands,
@@ -35,11 +24,55 @@ from odomcorrupt.simulation import (
     simulate_without,
     write_mcap,
 )
-from odomcorrupt.simulation.faults import draw_causes, draw_parameters
+from odomcorrupt.simulation.faults import EVERY, draw_causes, draw_parameters
 from odomcorrupt.simulation.robot import build_robot, stream
 from odomcorrupt.simulation.run import STORE
 
-EVERY = {**CAUSES, **OUTSIDE}
+FLAWLESS_RIG = Rig(
+    sampling_jitter_s=0.0,
+    stamp_jitter_s=0.0,
+    ticks_per_turn=None,
+    gyro_noise_rad_per_sqrt_s=0.0,
+    motor_ripple=0.0,
+    creep=0.0,
+)
+FLAWLESS_TRACKER = Tracker(sampling_jitter_s=0.0, noise_m=0.0, noise_rad=0.0, dropouts_per_min=0.0)
+REST = Segment(0.0, 0.0, 1.0, 1.0)
+STRAIGHT = (REST, Segment(0.5, 0.0, 19.0), Segment(0.0, 0.0, 5.0))
+SPIN_LEFT = (REST, Segment(0.0, 0.8, 19.0), Segment(0.0, 0.0, 5.0))
+CIRCLE_LEFT = (REST, Segment(0.6, 0.5, 40.0))
+CIRCLE_RIGHT = (REST, Segment(0.6, -0.5, 40.0))
+
+
+def silent(cause, parameters, route, duration_s=28.0, seed=5, **options):
+    return simulate(
+        seed, cause, parameters=parameters, route=route, duration_s=duration_s, rig=FLAWLESS_RIG,
+        truth=FLAWLESS_TRACKER, **options,
+    )  # fmt: skip
+
+
+def from_start(stamps_ns, xyt, at_ns):
+    """Poses at other stamps, headings unwrapped, as seen from the first of them."""
+    seen = [np.interp(at_ns, stamps_ns, column) for column in (xyt[:, 0], xyt[:, 1], np.unwrap(xyt[:, 2]))]
+    place = (seen[0] - seen[0][0] + 1j * (seen[1] - seen[1][0])) * np.exp(-1j * seen[2][0])
+    return np.column_stack((place.real, place.imag, seen[2] - seen[2][0]))
+
+
+def both(run):
+    """Odometry and truth at the odometry's stamps, each from its own start."""
+    at_ns = run.odom_stamps_ns[(run.odom_stamps_ns > run.truth_stamps_ns[0])]
+    at_ns = at_ns[at_ns < run.truth_stamps_ns[-1]]
+    return from_start(run.odom_stamps_ns, run.odom_xyt, at_ns), from_start(run.truth_stamps_ns, run.truth_xyt, at_ns)
+
+
+def way_m(xyt):
+    return np.hypot(*np.diff(xyt[:, :2], axis=0).T).sum()
+
+
+def same(one, other):
+    return all(np.array_equal(getattr(one, f.name), getattr(other, f.name)) for f in dataclasses.fields(one))
+
+
 OF_THE_SENSORS = {"gyro_bias", "gyro_bias_walk", "gyro_scale", "magnetic_heading", "quantization", "lost_increments"}
 OF_ONE_SIGN = {name for name, flaw in EVERY.items() if flaw.one_signed}
 OF_ONE_SIGN |= {"region_slip", "wet_patch", "wet_strip", "slope", "overspeed_slip", "braking_drag"}
@@ -601,3 +634,111 @@ def test_hidden_draws_all_kinds_and_what_shows():
     assert all(h.yaw_from == "gyro" for h in map(draw_causes, range(20), ["gyro"] * 20))
     for h in drawn[:30]:
         simulate(1, h.causes, yaw_from=h.yaw_from, duration_s=6.0)
+
+
+def simulated(folder, *options, name="out"):
+    code = run(["simulate", str(folder / f"{name}.mcap"), "--duration", "15", *options])
+    assert code == 0
+    return folder / f"{name}.mcap", folder / f"{name}.answer.toml"
+
+
+def metadata(bag):
+    with bag.open("rb") as file:
+        return {record.name: record.metadata for record in make_reader(file).iter_metadata()}
+
+
+def answered(file):
+    return tomllib.loads(file.read_text())
+
+
+@pytest.mark.parametrize("effect", ["hidden", "none", "region_slip", "gyro_bias", "eccentric_wheel"])
+def test_answer_is_beside_the_bag_and_only_its_hash_in_it(tmp_path, effect):
+    bag, secret = simulated(tmp_path, "--effect", effect, "--seed", "6")
+    assert metadata(bag) == {"simulate": {"answer_sha256": sha256(secret.read_bytes()).hexdigest()}}
+    with bag.open("rb") as file:
+        said = b" ".join(message.data for _, _, message in make_reader(file).iter_messages())
+    with bag.open("rb") as file:
+        reader = make_reader(file)
+        assert not list(reader.iter_attachments())
+        assert reader.get_header().library == "wheelsim"
+    assert not any(name.encode() in said + bag.read_bytes() for name in (*EVERY, "salt", "seed"))
+
+
+def test_hidden_is_the_default_and_the_same_seed_makes_the_same_files(tmp_path):
+    one, secret = simulated(tmp_path, "--seed", "9")
+    two, again = simulated(tmp_path, "--effect", "hidden", "--seed", "9", name="two")
+    assert one.read_bytes() == two.read_bytes()
+    assert secret.read_bytes() == again.read_bytes()
+    other, _ = simulated(tmp_path, "--seed", "10", name="three")
+    assert one.read_bytes() != other.read_bytes()
+
+
+def test_hidden_robot_is_met_again_in_another_drive(tmp_path):
+    _, first = simulated(tmp_path, "--seed", "9")
+    write_commands(tmp_path / "next.mcap", [(0.1 * i, 0.5, 0.0) for i in range(100)])
+    _, second = simulated(tmp_path, "--seed", "11", "--robot", "9", "--drive", str(tmp_path / "next.mcap"), name="b")
+    assert answered(first)["causes"] == answered(second)["causes"]
+    assert answered(first)["heading"] == answered(second)["heading"]
+
+
+def test_mixture_with_some_parameters_given(tmp_path):
+    options = ("--effect", "mount_yaw:yaw=2deg", "--effect", "gauss_markov:channel=yaw,tau=5", "--size", "strong")
+    _, secret = simulated(tmp_path, *options, "--truth", "rtk", "--drive-type", "skid", "--route", "yard")
+    answer = answered(secret)
+    yawed, wandering = answer["causes"]
+    assert (yawed["name"], yawed["in_library"]) == ("mount_yaw", True)
+    assert yawed["parameters"]["yaw"] == pytest.approx(0.0349, abs=1e-4)
+    assert (wandering["parameters"]["channel"], wandering["parameters"]["tau"]) == ("yaw", 5.0)
+    assert wandering["parameters"]["sigma"] >= 0.02
+    assert (answer["drive_type"], answer["truth"], answer["route"]) == ("skid", "rtk", "yard")
+
+
+def test_cause_of_no_library_says_what_it_depends_on(tmp_path):
+    _, secret = simulated(tmp_path, "--effect", "floor_grain")
+    assert answered(secret)["causes"][0] | {"parameters": 0} == {
+        "name": "floor_grain",
+        "in_library": False,
+        "depends_on": "heading",
+        "parameters": 0,
+    }
+
+
+def test_control_has_no_causes(tmp_path):
+    _, secret = simulated(tmp_path, "--effect", "none", "--heading", "gyro")
+    assert answered(secret)["causes"] == []
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "says"),
+    [
+        (["--effect", "wheel_skale"], 2, "is not a cause"),
+        (["--effect", "slope", "--effect", "slope"], 2, "once"),
+        (["--effect", "gyro_bias", "--heading", "wheels"], 2, "has no effect"),
+        (["--effect", "gyro_bias", "--effect", "wheelbase"], 2, "different sources"),
+        (["--effect", "slope:crep=0.1"], 2, "it has creep, direction"),
+        (["--effect", "side_slip:k=-0.1"], 2, "must not be negative"),
+        (["--effect", "slope:creep=much"], 2, "is not a number"),
+        (["--effect", "gauss_markov:channel=up"], 2, "along, yaw or wheels"),
+    ],
+)
+def test_what_makes_no_sense_is_said(tmp_path, capsys, options, code, says):
+    assert run(["simulate", str(tmp_path / "out.mcap"), *options]) == code
+    assert says in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_nothing_is_overwritten_unasked(tmp_path, capsys):
+    simulated(tmp_path)
+    assert run(["simulate", str(tmp_path / "out.mcap")]) == 1
+    assert "exists already" in capsys.readouterr().err
+    (tmp_path / "out.mcap").unlink()
+    assert run(["simulate", str(tmp_path / "out.mcap")]) == 1
+    simulated(tmp_path, "--overwrite")
+
+
+def test_pipe_needs_a_place_for_the_answer(tmp_path, capfdbinary):
+    assert run(["simulate", "-", "--duration", "15"]) == 2
+    assert run(["simulate", "-", "--duration", "15", "--seed", "0", "--answer", str(tmp_path / "a.toml")]) == 0
+    said = capfdbinary.readouterr().out
+    bag, _ = simulated(tmp_path, "--seed", "0")
+    assert said == bag.read_bytes()
