@@ -101,6 +101,14 @@ SAID_BACK = {
         "Once per message acts the law linear: these numbers mean a drift of 0.", "per 10 m at this bag's 50 Hz",
     ],
     "--effect wheel_scale:e=0.01": ["No noise; effects wheel_scale (e 0.01)"], "--preset husky": ["(mean of preset "],
+    "--alpha 5deg 10deg/m 0.05 0.01": ["rot_rot 0.08727 rot_trans 0.1745 trans_trans 0.05 trans_rot 0.01"],
+    "--alpha 5deg/rad 10deg 0.05/m 0.01/rad": ["rot_rot 0.08727 rot_trans 0.1745 trans_trans 0.05 trans_rot 0.01"],
+    "--alpha 0.1rad 0.2rad/m 0 0": ["rot_rot 0.1 rot_trans 0.2 trans_trans 0 trans_rot 0"],
+    "--law linear --step 0.25m,0.2rad --alpha 0.1 0.1 0.1 0.1": ["Law linear, rot_rot 0.1 ", "once per 0.25m,0.2rad"],
+    "--effect unequal_wheels:curvature=0.01 --effect lever_arm:x=0.1,y=-0.05": [
+        "unequal_wheels (curvature 0.01 rad/m), lever_arm (x 0.1 m, y -0.05 m)",
+    ],
+    "--keep-truth /odom_true": ["3000 messages of clean odometry on /odom_true added"],
     "--twist-noise 0.2 0.04": ["white_v 0.2 white_omega 0.04", "Once per message acts white noise on twists: these"],
 }  # fmt: skip
 
@@ -110,6 +118,7 @@ def test_noise_its_source_its_rate_and_what_still_tells_the_truth_are_said(corru
     code, said, _ = corrupt(*args.split(), "--seed", "1")
     assert code == 0
     assert all(sentence in said for sentence in SAID_BACK[args])
+    assert ("other values at another rate" in said) == (args in ("--preset article", "--twist-noise 0.2 0.04"))
 
 
 def test_a_seed_is_drawn_printed_and_repeats_the_run(corrupt):
@@ -120,18 +129,6 @@ def test_a_seed_is_drawn_printed_and_repeats_the_run(corrupt):
     other = corrupt("--seed", seed, "--run", "1", name="third.mcap")[2]
     assert target.read_bytes() == again.read_bytes()
     assert target.read_bytes() != other.read_bytes()
-
-
-def test_degrees_effects_laws_and_steps_are_said_back(corrupt):
-    code, said, _ = corrupt(
-        "--alpha", "5deg", "10deg/m", "0.05", "0.01", "--law", "linear", "--step", "0.25m,0.2rad",
-        "--effect", "unequal_wheels:curvature=0.01", "--effect", "lever_arm:x=0.1,y=-0.05", "--seed", "1",
-    )  # fmt: skip
-    assert code == 0
-    assert "Law linear, rot_rot 0.08727 rot_trans 0.1745 trans_trans 0.05 trans_rot 0.01" in said
-    assert "once per 0.25m,0.2rad" in said
-    assert "unequal_wheels (curvature 0.01 rad/m), lever_arm (x 0.1 m, y -0.05 m)" in said
-    assert "other values at another rate" not in said
 
 
 @pytest.mark.parametrize(
@@ -181,6 +178,13 @@ def test_a_model_file_brings_noise_and_effects_and_alpha_overrides_its_noise(cor
     (["--effect", "wheel_scale=0.01"], "write wheel_scale:e=0.01"),
     (["--effect", "unequal_wheels:curvature=1%"], "is a share, but the parameter has the unit rad/m"),
     (["--alpha", "0.05,0.02,0.05,0.01"], "put spaces between the numbers: --alpha 0.05 0.02 0.05 0.01"),
+    (["--track", "0"], "0; write metres between the wheels, more than 0"),
+    (["--alpha", "5deg", "10deg/m", "5deg", "0.1"], "trans_trans: 5deg is an angle, but this coefficient is in metres"),
+    (["--alpha", "5deg/m", "0", "0", "0"], "rot_rot: 5deg/m; this coefficient is per rad, not per m"),
+    (["--alpha", "0", "5deg/rad", "0", "0"], "rot_trans: 5deg/rad; this coefficient is per m, not per rad"),
+    (["--alpha", "0.1/m", "0", "0", "0"], "rot_rot: 0.1/m; this coefficient is per rad"),
+    (["--alpha", "5deg", "0", "0", "0", "--law", "quadratic"], "alphas of the law quadratic scale variances"),
+    (["--alpha", "0", "0", "0", "1deg", "--law", "omni"], "alphas of the law omni scale variances"),
     (["--seed", "-1"], "--seed"), (["--nonsense"], "--nonsense"), (["third"], "unexpected extra argument")],
 )  # fmt: skip
 def test_wrong_usage_is_one_line_exit_code_two_and_no_output(corrupt, args, sentence):

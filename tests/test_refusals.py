@@ -3,7 +3,6 @@
 import ast
 import builtins
 import inspect
-import json
 import re
 import shlex
 from pathlib import Path
@@ -172,36 +171,6 @@ def test_a_model_file_is_refused_by_its_name_and_is_no_wrong_usage(words, here, 
     Path("bad.toml").write_text(ROBOT.replace("diffusion", "cubic"))
     assert run(f"{words} bad.toml".format(OFFICE).split()) == 1
     assert capsys.readouterr().err.startswith("odomcorrupt: bad.toml: no law is called 'cubic'; there are ")
-
-
-@pytest.mark.slow
-def test_the_spread_of_a_batch_comes_as_text_as_values_and_as_a_picture(here, capsys):
-    drawn = f"--runs 3 --seed 7 {NOISE} --effect slip_burst:rate=0.1"
-    assert run(shlex.split(f"batch {OFFICE} runs --output trajectories {drawn}")) == 0
-    capsys.readouterr()
-    assert run(["spread", "runs", "-v", "-o", "out.svg"]) == 0
-    text = capsys.readouterr().out
-    assert "(3 runs: " in text.splitlines()[0]
-    assert "not predicted: the draws of slip_burst" in text
-    assert (here / "out.svg").stat().st_size > 1000
-    assert run(["spread", "runs", "--json"]) == 0
-    shown = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
-    assert (shown["runs"], shown["random_effects"]) == (3, ["slip_burst"])
-    table = [line.split() for line in text.splitlines() if len(line.split()) == 7 and line[0] == " "]
-    assert [float(row[0]) for row in table] == pytest.approx([row["after_m"] for row in shown["rows"]], rel=1e-3)
-    assert run(["spread", "runs", "-o", "out.svg"]) == 1
-    assert "--overwrite" in capsys.readouterr().err
-
-
-def test_a_cloud_along_a_drive_is_written_as_text_and_as_a_picture(here, capsys):
-    words = f"sample {OFFICE} --samples 20 {NOISE}"
-    assert run(shlex.split(f"{words} -o cloud.csv")) == 0
-    assert run(shlex.split(f"{words} -o cloud.svg")) == 0
-    assert "wrote cloud.csv" in capsys.readouterr().err
-    assert (here / "cloud.csv").read_text().count("\n") > 20
-    assert (here / "cloud.svg").stat().st_size > 1000
-    assert run(shlex.split(f"{words} --json")) == 0
-    json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
 
 
 ROOT = Path(__file__).parents[1]

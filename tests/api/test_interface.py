@@ -184,7 +184,9 @@ def test_corrupting_again_is_said(tmp_path, capsys):
     assert again.earlier[0]["seed"] == "7"
     assert "was corrupted before (seed 7" in str(again)
     assert run(["info", str(tmp_path / "b.mcap"), "--json"]) == 0
-    assert [one["seed"] for one in json.loads(capsys.readouterr().out)["provenance"]] == ["7", "8"]
+    stored = json.loads(capsys.readouterr().out)["provenance"]
+    assert [(one["seed"], one["run"]) for one in stored] == [("7", "0"), ("8", "0")]
+    assert all("rot_trans = 0.02" in one["model"] for one in stored)
 
 
 def free_box(folder, low_xy, high_xy):

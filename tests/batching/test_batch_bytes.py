@@ -58,15 +58,6 @@ def records(directory):
     return [json.loads(line) for line in (directory / "manifest.jsonl").read_text().splitlines()]
 
 
-@pytest.mark.parametrize("name", BAGS)
-def test_every_run_has_the_bytes_of_the_command_in_the_manifest(name, here):
-    assert run(["batch", name, "runs", "--runs", "3", *MODEL, "--seed", "7"]) == 0
-    for record in records(here / "runs"):
-        assert run(shlex.split(record["command"])[1:]) == 0
-        alone = here / shlex.split(record["command"])[2]
-        assert bytes_of(alone) == bytes_of(here / "runs" / record["file"])
-
-
 def test_small_portions_and_groups_give_the_same_bytes(here, monkeypatch):
     assert run(["batch", "office.mcap", "one", "--runs", "4", *MODEL, "--seed", "7"]) == 0
     monkeypatch.setattr("odomcorrupt.batching.patch_batch.PORTION_MESSAGES", 7)
@@ -235,6 +226,7 @@ def test_without_dask_the_extra_is_named(here, monkeypatch, capsys):
 FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
 NOISE = ["--alpha", "5deg", "0.02", "0.05", "0.01", "--seed", "7"]
 OPTIONS = {
+    "effects": MODEL[5:],
     "truth": ["--keep-truth", "/odom_true"],
     "localisation": ["--keep-localisation"],
     "correction": ["--tf", "correction", "--new-odom-frame", "odom0"],
@@ -244,7 +236,10 @@ OPTIONS = {
 
 @pytest.mark.parametrize(
     ("name", "options"),
-    [*((name, "all") for name in BAGS), *zip(BAGS, ("truth", "localisation", "correction"), strict=True)],
+    [
+        *((name, options) for name in BAGS for options in ("effects", "all")),
+        *zip(BAGS, ("truth", "localisation", "correction"), strict=True),
+    ],
 )
 def test_options_of_corruption_give_the_bytes_of_the_command_in_the_manifest(name, options, here, monkeypatch):
     monkeypatch.setattr("odomcorrupt.batching.patch_batch.PORTION_MESSAGES", 300)

@@ -181,6 +181,7 @@ def test_a_step_may_be_a_distance_alone(tmp_path, capsys):
 
 
 NOISE = ["--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "1"]
+SLIPS = ["--effect", "slip_burst:rate=0.1"]
 MAP = ["map", OFFICE, "--resolution", "0.2", *NOISE]
 
 
@@ -188,7 +189,7 @@ MAP = ["map", OFFICE, "--resolution", "0.2", *NOISE]
 def runs(tmp_path_factory):
     """Return a directory with the paths of a few runs."""
     path = tmp_path_factory.mktemp("batch") / "runs"
-    assert run(["batch", OFFICE, str(path), "--runs", "4", "--output", "trajectories", "-q", *NOISE]) == 0
+    assert run(["batch", OFFICE, str(path), "--runs", "4", "--output", "trajectories", "-q", *NOISE, *SLIPS]) == 0
     return str(path)
 
 
@@ -232,12 +233,20 @@ def test_a_result_has_eight_lines_all_of_it_nothing_or_values(words, label, caps
     assert json.loads("\n".join(lines_of(capsys, [*words, "--json"])))["schema"] == 2
 
 
-def test_a_spread_begins_with_whether_it_is_the_predicted_one(runs, capsys):
+def test_a_spread_begins_with_whether_it_is_the_predicted_one_and_is_drawn_over_nothing_else(runs, tmp_path, capsys):
     lines = lines_of(capsys, ["spread", runs])
     assert lines[0].startswith(("AS PREDICTED", "WIDER", "NARROWER"))
     require_brief(lines, "")
     assert "4 runs" in lines[0]
-    assert any(row.split()[:1] == ["after"] for row in lines_of(capsys, ["spread", runs, "-v"]))
+    full, picture = lines_of(capsys, ["spread", runs, "-v"]), tmp_path / "out.svg"
+    assert any(row.split()[:1] == ["after"] for row in full)
+    assert "not predicted: the draws of slip_burst" in "\n".join(full)
+    shown = json.loads("\n".join(lines_of(capsys, ["spread", runs, "--json", "-o", str(picture)])))
+    assert (shown["runs"], shown["random_effects"], picture.stat().st_size > 1000) == (4, ["slip_burst"], True)
+    table = [line.split() for line in full if len(line.split()) == 7 and line[0] == " "]
+    assert [float(row[0]) for row in table] == pytest.approx([row["after_m"] for row in shown["rows"]], rel=1e-3)
+    assert run(["spread", runs, "-o", str(picture)]) == 1
+    assert "--overwrite" in capsys.readouterr().err
 
 
 def test_the_table_of_a_map_fits_a_hundred_columns(capsys):

@@ -1,30 +1,35 @@
-"""A run over a bag: its summary, its refusals, and what passes through unchanged."""
+"""A run over a bag: its options, its summary, its refusals, and what passes through unchanged."""
 
 import subprocess
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from io import StringIO
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
 import pytest
-from bagged import rows_of
-from drives import model, silent
+from bagged import ODOM, TF, odometry, robot, rows_of, transforms, write_mcap
+from drives import model, office, silent
 
-from odomcorrupt import cli
+from odomcorrupt.bags.block import Channel
+from odomcorrupt.bags.messages import gather_stamps_ns, locate
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.cli import run
 from odomcorrupt.corruption.run import Container, corrupt_bag
 from odomcorrupt.corruption.summary import brief, holonomic_words
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.model.noise_laws import Coefficients
 
 FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
 BAGS = ["office.bag", "office.mcap", "office_ros2"]
 
 
-def corrupt(source, target, chosen, seed=3, **container):
-    return corrupt_bag(source, target, chosen, seed=seed, run=0, options=Options(), container=Container(**container))
+def corrupt(source, target, chosen):
+    return corrupt_bag(source, target, chosen, seed=3, run=0, options=Options(), container=Container())
 
 
 def bytes_of(path):
@@ -42,13 +47,6 @@ def test_a_silent_model_copies_the_bag(name, tmp_path):
     assert bytes_of(tmp_path / name) == bytes_of(FIXTURES / name)
 
 
-def test_model_seed_and_run_are_stored_in_an_mcap(tmp_path):
-    corrupt(FIXTURES / "office.mcap", tmp_path / "out.mcap", model(), seed=77)
-    data = (tmp_path / "out.mcap").read_bytes()
-    assert b"rot_trans = 0.03" in data
-    assert b"77" in data
-
-
 def summary(outcome, origin):
     return brief(outcome, origin, "out.mcap").full()
 
@@ -64,6 +62,9 @@ def test_the_summary_tells_counts_drift_and_oddities(tmp_path):
     assert f"at this bag's {outcome.drift.rate_hz:.3g} Hz" in text
     outcome.changes.held = 4
     assert "held for 4 of these" in summary(outcome, "")
+    assert "TF has" not in text
+    elsewhere = replace(outcome, changes=replace(outcome.changes, edges={}), stayed={"map -> base_link": "/tf"})
+    assert "no transform from odom (TF has map -> base_link)" in summary(elsewhere, "")
 
 
 def test_the_summary_expects_no_noise_of_effects_and_no_place_of_a_lost_heading(tmp_path):
@@ -73,19 +74,6 @@ def test_the_summary_expects_no_noise_of_effects_and_no_place_of_a_lost_heading(
     assert "(noise: " not in text
     wild = corrupt(FIXTURES / "office.mcap", tmp_path / "b.mcap", model(coefficients=Coefficients(5, 5, 5, 5)))
     assert "deg: the position is arbitrary)" in summary(wild, "")
-
-
-def test_the_summary_counts_stamps_of_zero_and_messages_put_in_order_and_names_the_edges_there_are(tmp_path):
-    outcome = corrupt(FIXTURES / "office.mcap", tmp_path / "out.mcap", model())
-    assert (outcome.order.swapped, outcome.faults.zero_stamps) == (0, 0)
-    outcome.order.swapped, outcome.faults.zero_stamps = 3, 7
-    text = summary(outcome, "")
-    assert "7 odometry stamps are zero: log times were used instead." in text
-    assert "3 odometry messages were out of order: they were sorted." in text
-    assert "TF odom -> base_link" in text
-    assert "TF has" not in text
-    elsewhere = replace(outcome, changes=replace(outcome.changes, edges={}), stayed={"map -> base_link": "/tf"})
-    assert "no transform from odom (TF has map -> base_link)" in summary(elsewhere, "")
 
 
 @pytest.mark.parametrize(
@@ -107,14 +95,14 @@ def test_a_silent_summary_promises_no_drift(tmp_path):
 ZERO = ("--alpha", "0", "0", "0", "0")
 
 
-def run(*args, stdin=None):
+def outcome_of(*args, stdin=None):
     """Run the program, in a process of its own where a pipe is asked for."""
     words = [*map(str, args), *ZERO]
     if "-" in words:
         command = [sys.executable, "-m", "odomcorrupt", *words]
         return subprocess.run(command, input=stdin, capture_output=True, check=False)
     with redirect_stderr(StringIO()) as said, redirect_stdout(StringIO()):
-        code = cli.run(words)
+        code = run(words)
     return subprocess.CompletedProcess(words, code, b"", said.getvalue().encode())
 
 
@@ -122,33 +110,156 @@ def run(*args, stdin=None):
 def bag(tmp_path):
     """Return a bag that our writer would not write so: its chunks are packed harder."""
     path = tmp_path / "in.mcap"
-    assert run(FIXTURES / "office.mcap", path, "--compression", "zstd", "--level", "9").returncode == 0
+    assert outcome_of(FIXTURES / "office.mcap", path, "--compression", "zstd", "--level", "9").returncode == 0
     return path
 
 
 def test_a_file_and_a_pipe_give_the_very_bytes_of_the_input(bag, tmp_path):
     content = bag.read_bytes()
-    assert run(bag, tmp_path / "out.mcap").returncode == 0
+    assert outcome_of(bag, tmp_path / "out.mcap").returncode == 0
     assert (tmp_path / "out.mcap").read_bytes() == content
-    assert run(bag, "-").stdout == content
-    assert run("-", "-", "--odom", "/odom", stdin=content).stdout == content
-    assert run("-", tmp_path / "from_pipe.mcap", "--odom", "/odom", stdin=content).returncode == 0
+    assert outcome_of(bag, "-").stdout == content
+    assert outcome_of("-", "-", "--odom", "/odom", stdin=content).stdout == content
+    assert outcome_of("-", tmp_path / "from_pipe.mcap", "--odom", "/odom", stdin=content).returncode == 0
     assert (tmp_path / "from_pipe.mcap").read_bytes() == content
 
 
 def test_a_ros1_bag_stays_one_in_a_file_and_becomes_an_mcap_on_a_pipe(tmp_path):
     content = (FIXTURES / "office.bag").read_bytes()
-    assert run("-", tmp_path / "out.bag", "--odom", "/odom", stdin=content).returncode == 0
+    assert outcome_of("-", tmp_path / "out.bag", "--odom", "/odom", stdin=content).returncode == 0
     assert (tmp_path / "out.bag").read_bytes() == content
-    on_pipe = run("-", "-", "--odom", "/odom", stdin=content)
+    on_pipe = outcome_of("-", "-", "--odom", "/odom", stdin=content)
     assert on_pipe.returncode == 0
-    assert on_pipe.stdout == run(FIXTURES / "office.bag", "-").stdout
+    assert on_pipe.stdout == outcome_of(FIXTURES / "office.bag", "-").stdout
     assert on_pipe.stdout.startswith(b"\x89MCAP0")
 
 
 def test_a_container_option_is_heeded(bag, tmp_path):
-    assert run(bag, tmp_path / "out.mcap", "--compression", "none").returncode == 0
+    assert outcome_of(bag, tmp_path / "out.mcap", "--compression", "none").returncode == 0
     content = bag.read_bytes()
     assert (tmp_path / "out.mcap").read_bytes() != content
-    piped = run("-", "-", "--odom", "/odom", "--compression", "none", stdin=content)
+    piped = outcome_of("-", "-", "--odom", "/odom", "--compression", "none", stdin=content)
     assert piped.stdout == (tmp_path / "out.mcap").read_bytes()
+
+
+OFFICE = str(FIXTURES / "office.mcap")
+
+
+@pytest.fixture
+def corrupted(tmp_path, capsys):
+    def call(*args):
+        target = tmp_path / "out.mcap"
+        code = run([OFFICE, str(target), "-v", "--seed", "1", "--overwrite", *args])
+        return code, capsys.readouterr().err, target
+
+    return call
+
+
+def test_effects_of_single_wheels_take_the_track_from_the_command_line_or_the_file(corrupted, tmp_path):
+    code, said, target = corrupted("--effect", "quantization:step=0.01")
+    assert (code, target.exists()) == (1, False)
+    assert "give it in metres with --track" in said
+    code, said, target = corrupted("--effect", "quantization:step=0.01", "--track", "0.4")
+    assert code == 0
+    assert "quantization (step 0.01 m)" in said
+    by_option = target.read_bytes()
+    file = tmp_path / "robot.toml"
+    words = "rot_rot = 0\nrot_trans = 0\ntrans_trans = 0\ntrans_rot = 0"
+    effect = '[[effect]]\nname = "quantization"\nstep = 0.01'
+    file.write_text(f"schema = 1\n[noise]\n{words}\n{effect}\n[robot]\ntrack = 0.9\n")
+    assert corrupted("--model", str(file), "--track", "0.4")[2].read_bytes() == by_option
+    assert corrupted("--model", str(file))[2].read_bytes() != by_option
+
+
+def test_a_drive_faster_than_a_learned_model_covers_is_corrupted_and_reported(corrupted, tmp_path):
+    model = tmp_path / "model.toml"
+    text = (
+        'schema = 1\n[noise]\nlaw = "diffusion"\nrot_rot = 0\nrot_trans = 0\ntrans_trans = 0\ntrans_rot = 0\n'
+        '[[effect]]\nname = "spins"\nexpression = "along += v * (k * max(abs(v) - 0.6, 0))"\nk = -2.0\n'
+    )
+    model.write_text(text)
+    assert corrupted("--model", str(model))[0] == 1
+    model.write_text(text + '[source]\nrecordings = ["a.mcap"]\n')
+    code, said, _ = corrupted("--model", str(model))
+    assert code == 0
+    assert "% faster than the model's highest valid speed: the relative error is kept constant." in said
+
+
+def edges_of(path):
+    with open_reader(path) as reader:
+        channel = next(c for c in reader.channels.values() if c.topic == "/tf")
+        return [
+            (item.frame_id, item.child_frame_id, int(stamp))
+            for block in reader.blocks()
+            for layout in locate(block, channel)
+            for item in layout.items
+            for stamp in gather_stamps_ns(block, layout, item)
+        ]
+
+
+def test_the_localisation_of_the_true_odometry_is_said_and_can_be_left_out(tmp_path, capsys):
+    messages = robot(*office(10.0, 10.0))
+    amcl = Channel(9, "/amcl_pose", "geometry_msgs/msg/PoseWithCovarianceStamped", "cdr")
+    source = write_mcap(tmp_path / "in.mcap", [(amcl, messages[0][1], b"\0\1\0\0"), *messages])
+    target, batched = tmp_path / "out.mcap", ["--seed", "1", "--runs", "2"]
+    for words in (
+        [str(source), str(target), "--seed", "1", "-v"],
+        ["batch", str(source), str(tmp_path / "b"), *batched, "-v"],
+    ):
+        assert run(words) == 0
+        said = " ".join("".join(capsys.readouterr()).split())
+        assert "recorded localisation stays, and is of the true odometry: leave it out with " in said
+        assert words[0] != "batch" or " RMS at the end of " in said
+        assert "--exclude-topic /tf:map.odom --exclude-topic /amcl_pose and localise again, or move TF with " in said
+    assert run([str(source), str(target), "--seed", "1", "--overwrite"]) == 0
+    brief = capsys.readouterr().err
+    assert "seed      1, run 0" in brief
+    assert "--exclude-topic /tf:map.odom --exclude-topic /amcl_pose\n" in brief
+    assert run(["info", str(source)]) == 0
+    assert "--exclude-topic /tf:map.odom --exclude-topic /amcl_pose" in capsys.readouterr().out
+    left_out = ["--exclude-topic", "/amcl_pose", "--exclude-topic", "/tf:map.odom"]
+    assert run(["batch", str(source), str(tmp_path / "c"), *batched, *left_out]) == 0
+    assert "stays" not in capsys.readouterr().out
+    moved = [edge for edge in edges_of(target) if edge[:2] == ("odom", "base_link")]
+    for words in (["/tf:map.odom"], ["tf:map.odom", "/tf:base_link.laser"]):
+        exclude = [word for one in words for word in ("--exclude-topic", one)]
+        assert run([str(source), str(target), "--seed", "1", "-v", "--overwrite", *exclude]) == 0
+        assert "--exclude-topic /tf:" not in capsys.readouterr().err
+        kept = {("odom", "base_link"), *([("base_link", "laser")] if len(words) == 1 else [])}
+        assert {edge[:2] for edge in edges_of(target)} == kept
+        assert [edge for edge in edges_of(target) if edge[:2] == ("odom", "base_link")] == moved
+    for words in ([str(source), str(tmp_path / "d.mcap")], ["batch", str(source), str(tmp_path / "d"), *batched]):
+        assert run([*words, "--exclude-topic", "/tf:map.odom", "--exclude-topic", "/tf:odom.map"]) == 1
+        assert "/tf:odom.map: the input has no such edge (it has /tf:base_link.laser, /tf:" in capsys.readouterr().err
+        assert not [*tmp_path.glob("d/run*"), *tmp_path.glob("d.mcap")]
+    assert run([str(source), str(target), "--overwrite", "--exclude-topic", "/odom:map.odom"]) == 1
+    assert "an edge of TF as in /tf:map.odom" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_correction_is_published_once_for_each_stamp(tmp_path):
+    t, poses = office(5.0, 10.0)
+    twice = [(ODOM, int(s) + late, odometry(s, p)) for s, p in zip(t, poses, strict=True) for late in (0, 1000)]
+    source, target = write_mcap(tmp_path / "in.mcap", twice), tmp_path / "out.mcap"
+    assert run([str(source), str(target), "--seed", "1", "--tf", "correction", "--new-odom-frame", "odom1"]) == 0
+    assert edges_of(target) == [("odom1", "odom", int(s)) for s in t]
+
+
+def test_two_publishers_are_refused_with_the_way_out(tmp_path, capsys):
+    t, poses = office(10.0, 10.0)
+    beside = compose(np.array([0.3, 0.1, 0.09]), poses)
+    both = [(ODOM, int(s), odometry(s, p)) for s, p in zip(t, poses, strict=True)]
+    both += [(ODOM, int(s) + 21_000_000, odometry(s + 21_000_000, p)) for s, p in zip(t, beside, strict=True)]
+    source, target = write_mcap(tmp_path / "in.mcap", sorted(both, key=itemgetter(1))), tmp_path / "out.mcap"
+    assert run([str(source), str(target), "--seed", "1"]) == 1
+    assert "two publishers alternate" in (said := capsys.readouterr().err)
+    assert "sideways" not in said
+    assert not target.exists()
+    both[len(t) :] = [
+        (Channel(late, "/tf", TF.msgtype, "cdr"), int(s) + late, transforms((int(s) + late, "odom", "base_link", p)))
+        for path, late in ((poses, 10), (beside, 21_000_000))  # in channels of their own, as of two nodes in ROS 1
+        for s, p in zip(t, path, strict=True)
+    ]
+    write_mcap(source, sorted(both, key=itemgetter(1)))
+    for words in ([str(source), str(target), "--seed", "1"], ["info", "-v", str(source)]):
+        assert run(words) == 0
+        assert "TF odom -> base_link: two publishers alternate" in " ".join("".join(capsys.readouterr()).split())

@@ -187,10 +187,12 @@ def test_last_place_is_the_end_and_no_place_is_near_it():
     np.testing.assert_allclose(drive.distance_m[places_along(drive, 5.0)], [5, 10.1], atol=0.05)
 
 
-def test_command_writes_every_run(tmp_path):
+def test_command_writes_every_run(tmp_path, capsys):
     names = [tmp_path / f"cloud.{end}" for end in ("csv", "json", "png")]
     for name in names:
         assert run(["sample", str(OFFICE), "-n", "6", "--every", "10", "--seed", "1", "-o", str(name)]) == 0
+        assert f"wrote {name}" in capsys.readouterr().err
+    assert names[2].read_bytes().startswith(b"\x89PNG")
     with names[0].open() as file:
         rows = list(csv.DictReader(file))
     places = json.loads(names[1].read_text())["places"]
