@@ -178,9 +178,8 @@ def test_a_drive_that_did_not_come_back_is_refused(capsys):
 
 LASER = RECORDINGS / "laser"
 
-pytestmark = pytest.mark.recordings
 
-
+@pytest.mark.recordings
 @pytest.mark.slow
 def test_a_bag_without_truth_is_learned_from_its_only_laser_and_says_so():
     (run,) = read_runs(Source(LASER / "cmu_wean_1.mcap"))
@@ -190,6 +189,7 @@ def test_a_bag_without_truth_is_learned_from_its_only_laser_and_says_so():
     assert np.linalg.eigvalsh(run.truth.covariance).min() > 0.0
 
 
+@pytest.mark.recordings
 @pytest.mark.slow
 def test_the_map_of_a_real_rover_is_thinner_than_its_odometry_draws_it(tmp_path, capsys):
     out = tmp_path / "map.yaml"

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 from packed import grid, scan
-from test_grids import written
+from test_free_space import written
 
 from odomcorrupt.cli import run
 from odomcorrupt.commands._options import pose as pose_of
