@@ -1,7 +1,7 @@
 """Execute docs/notebook.ipynb and store its outputs: `python docs/make_notebook.py`, in a copy of the repository.
 
 Needs `pip install ".[docs]"`. The site shows the stored outputs;
-`tests/documents/test_examples.py` compares them with new ones.
+`tests/documents/test_documents.py` compares them with new ones.
 """
 
 from __future__ import annotations
