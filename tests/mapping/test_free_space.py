@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from packed import ROS1, ROS2, grid, scan
-from rooms import MODEL, RESOLUTION, drive, room
 
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
@@ -26,7 +25,29 @@ from odomcorrupt.mapping.occupancy_grid import (
 from odomcorrupt.mapping.scan_map import MIN_NEIGHBOURS, WINDOW_M, added_thickness, distance_to_surface, wall_thickness
 from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import Coefficients, Variances
+from odomcorrupt.model.presets import preset_named
 from odomcorrupt.sampling.samples import move_between, move_sampled, move_sampled_in_map
+
+RESOLUTION = 0.1
+
+MODEL = MotionModel(preset_named("typical").noise)
+
+
+def room(*walls):
+    """Ten by ten metres about the origin; walls are boxes x0, y0, x1, y1."""
+    cells = np.zeros((100, 100), dtype=np.uint8)
+    for x0, y0, x1, y1 in walls:
+        c = (np.array([x0, y0, x1, y1]) / RESOLUTION + 50).astype(int)
+        cells[c[1] : c[3], c[0] : c[2]] = OCCUPIED
+    return Grid(cells, RESOLUTION, np.array([-5.0, -5.0, 0.0]))
+
+
+def drive(n=300):
+    """Four metres along x in three seconds."""
+    xyt = np.zeros((n, 3))
+    xyt[:, 0] = np.linspace(0, 4, n)
+    return np.arange(n) * 10**7, xyt
+
 
 WALL = (2.0, -1.0, 2.2, 1.0)
 AHEAD = move_between(np.zeros(3), np.array([3.0, 0.0, 0.0]))
