@@ -14,7 +14,7 @@ from odomcorrupt.errors import FitError, RecordingError
 from odomcorrupt.geometry.se2 import Increments, accumulate, between, compose
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.intervals import intervals_between
-from odomcorrupt.study.estimate.windows import phased_rmse
+from odomcorrupt.study.estimate.windows import drift_of
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.relative_motions import read_motions
 from recordings import RECORDINGS
@@ -102,7 +102,7 @@ def test_a_gross_motion_breaks_the_chain_and_errors_of_motions_add_up(tmp_path):
     assert [run.name for run in runs] == ["odom.csv, chain 1", "odom.csv, chain 2"]
     assert any("1 motion differs grossly from the odometry's and is left out" in note for note in runs[0].notes)
     assert runs[0].truth.covariance is None
-    assert phased_rmse(runs) < 1.5 * phased_rmse([whole])
+    assert drift_of(runs).rmse < 1.5 * drift_of([whole]).rmse
 
 
 @pytest.mark.recordings

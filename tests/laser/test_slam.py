@@ -30,7 +30,7 @@ from odomcorrupt.laser.trajectory import (
 )
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.problem import pose_problem
-from odomcorrupt.study.estimate.truth_bias import MAP_STRAIN, SHARED, bias_roots
+from odomcorrupt.study.estimate.truth_bias import LOCAL_BIAS, SHARED, bias_roots
 from odomcorrupt.study.io import Source
 from odomcorrupt.study.io.laser_truth import alerts_of, end_seen, laser_run, truth_of
 from odomcorrupt.study.io.reader import read_odometry, read_runs
@@ -180,7 +180,7 @@ def test_a_strained_map_has_the_residuals_of_its_column(column, strain):
     t_s, path, _, _ = raycaster.path()
     stamps = np.round(t_s * 1e9).astype(np.int64)
     strained = path.copy()
-    strained[:, :2] += MAP_STRAIN * path[:, :2] @ np.array(strain)
+    strained[:, :2] += LOCAL_BIAS * path[:, :2] @ np.array(strain)
     truth = Trajectory(stamps, strained, covariance=np.tile(np.eye(3), (len(path), 1, 1)))
     problem = pose_problem([Recording("run", Trajectory(stamps, path), truth, 0)], approach=Approach())
     own = bias_roots(problem)[:, :, SHARED + column]

@@ -16,7 +16,7 @@ from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.comparison import comparison_text, falls_sentence, measures_words, sentence, size
 from odomcorrupt.study.estimate.config import Approach
-from odomcorrupt.study.estimate.windows import WindowErrors, phased_misses, time_windows
+from odomcorrupt.study.estimate.windows import WindowErrors, drift_of, time_windows
 from odomcorrupt.study.io.headings import with_headings
 from odomcorrupt.study.io.recording import content_of
 from odomcorrupt.study.validate.calibration import HORIZONS_M, ParameterUncertainty, horizon_of
@@ -503,4 +503,4 @@ def test_a_grid_that_loses_few_windows_is_kept():
 
 
 def test_a_complete_truth_has_a_window_for_every_ten_seconds():
-    assert [len(squared) for squared in phased_misses([run_with_gaps(60.5, (70.0, 80.0))])] == [6, 5, 5, 5, 5]
+    assert [len(squared) for squared in drift_of([run_with_gaps(60.5, (70.0, 80.0))]).squared] == [6, 5, 5, 5, 5]

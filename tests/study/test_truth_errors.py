@@ -23,7 +23,7 @@ from odomcorrupt.study.estimate.intervals import intervals_of
 from odomcorrupt.study.estimate.outliers import single_events
 from odomcorrupt.study.estimate.problem import pose_problem, undo
 from odomcorrupt.study.estimate.whitener import interval_covariance, map_axes, whitener
-from odomcorrupt.study.estimate.windows import phased_rmse
+from odomcorrupt.study.estimate.windows import drift_of
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.reader import recordings_of
 from odomcorrupt.study.select.decisions import DECISIONS
@@ -178,7 +178,7 @@ def test_a_constant_error_of_a_localisations_headings_is_no_drift_of_the_odometr
     askew = replace(run, truth=replace(run.truth, xyt=run.truth.xyt + np.array([0.0, 0.0, 0.05])))
     (mended,) = with_correlation_lengths([askew], Approach(spacing_s=4.0))
     assert np.mean(mended.truth.xyt[:, 2] - run.truth.xyt[:, 2]) == pytest.approx(0.0, abs=0.01)
-    assert phased_rmse([mended]) < 0.8 * phased_rmse([askew])
+    assert drift_of([mended]).rmse < 0.8 * drift_of([askew]).rmse
     assert "off the direction of its own positions" in mended.notes[-1]
 
 

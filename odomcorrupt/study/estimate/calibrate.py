@@ -49,7 +49,6 @@ if TYPE_CHECKING:
 
 
 _DROP = float(chi2.ppf(0.95, 1)) / 2.0
-_STEPS = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +104,7 @@ def _edge(likelihood: NoiseLikelihood, start: Array, position: int, direction: f
     free, best = start.copy(), float(start[position])
     inside, inside_drop = max(best, np.log(1e-4)) if direction > 0 else best, 0.0
     step = 0.1
-    for _ in range(_STEPS + 3):
+    while True:
         outside = inside + direction * step
         if outside <= np.log(LOWEST):
             return 0.0
@@ -120,7 +119,6 @@ def _edge(likelihood: NoiseLikelihood, start: Array, position: int, direction: f
             return float(np.exp(inside + share * (outside - inside)))
         free, inside, inside_drop = profiled.free, outside, drop
         step *= 2.0
-    return 0.0 if direction < 0 else float("inf")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

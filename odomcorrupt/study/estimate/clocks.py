@@ -15,11 +15,11 @@ from odomcorrupt.errors import FitError, RecordingError
 from odomcorrupt.study.estimate.drive_type import MOUNTING, mountings
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit, fit_problem, prior_deviations
 from odomcorrupt.study.estimate.problem import pose_problem, undo
-from odomcorrupt.study.estimate.windows import phased_rmse, ten_second_error
+from odomcorrupt.study.estimate.windows import drift_of, ten_second_error
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders, coarse_clock
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.config import Approach
     from odomcorrupt.study.io.recording import Recording
 
-_MOUNTED = 1e-4
-"""Significance level of a lever arm or mounting yaw."""
-_CLOCK_LIMIT = float(np.sqrt(chi2.isf(1e-4, 1)))
+SETUP_LEVEL = 1e-4
+"""Significance level of a part of the set-up: of a clock, a lever arm, or a mounting yaw."""
+_CLOCK_LIMIT = float(np.sqrt(chi2.isf(SETUP_LEVEL, 1)))
 _RANGE = 2.0
 """Half width of the range of an offset, in standard errors."""
 _CLOCK_HARM = 1.15
@@ -239,7 +239,7 @@ def _harmless(runs: Sequence[Recording], clock: Clock, effects: Sequence[Effect]
 
     effects : removed from both; an error of turns and an offset may hide each other in a few windows
     """
-    before, after = (phased_rmse([undo(aligned(run, c), effects) for run in runs]) for c in (Clock(), clock))
+    before, after = (drift_of([undo(aligned(run, c), effects) for run in runs]).rmse for c in (Clock(), clock))
     return after < _CLOCK_HARM * before
 
 
@@ -269,12 +269,8 @@ def find_setup(
     """
     kinds, asked = registry(), _with_aliases(effects)
     near = {effect.name: effect for effect in clocks.beside}
-
-    def usual(names: Iterable[str]) -> list[Effect]:
-        return [near.get(name, kinds[name]()) for name in names if name not in asked]
-
-    names = nuisance_of(recordings)
-    free, beside = (usual(name for name in names if (name in MOUNTING) is ours) for ours in (True, False))
+    usual = [near.get(name, kinds[name]()) for name in nuisance_of(recordings) if name not in asked]
+    free, beside = ([effect for effect in usual if (effect.name in MOUNTING) is ours] for ours in (True, False))
     if not free:
         return ()
 
@@ -287,7 +283,7 @@ def find_setup(
     there = [
         e
         for e in best.effects[: len(free)]
-        if len(amplitudes(e)) * chi2.sf(best.size_errors[e.name] ** 2, 1) < _MOUNTED
+        if len(amplitudes(e)) * chi2.sf(best.size_errors[e.name] ** 2, 1) < SETUP_LEVEL
     ]
     if not there:
         return ()

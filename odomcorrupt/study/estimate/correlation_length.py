@@ -20,6 +20,7 @@ from scipy.stats import chi2, f
 
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.geometry.se2 import between, compose, wrap
+from odomcorrupt.study.estimate.clocks import SETUP_LEVEL
 from odomcorrupt.study.estimate.intervals import memory_over
 from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood, VarianceComponents
 from odomcorrupt.study.estimate.problem import pose_problem
@@ -99,23 +100,17 @@ def _largest(t_s: Array, truth: Array, own: Array, found: list[PoseStep]) -> Pos
         return None
     apart = long.apart[best]
     before, after = _edges(t_s, truth, own, float(long.start_s[best]), long.usual, apart)
-    apart = _at_middle(apart, own[np.searchsorted(t_s, long.start_s[best])], own[before], own[after])
+    # Poses after the step were carried to the pose `at`, past it. If the robot was turned, its description depends on the
+    # place, and that at the middle of its two edges is meant.
+    at = own[np.searchsorted(t_s, long.start_s[best])]
+    way = between(at, compose(own[before], between(own[before], own[after]) / 2.0))
+    apart = np.append(between(way, compose(apart, way))[:2], apart[2])
     return PoseStep(
         start_s=float(t_s[before]),
         end_s=float(t_s[after]),
         apart=(float(apart[0]), float(apart[1]), float(apart[2])),
         place_xy=(float(truth[before, 0]), float(truth[before, 1])),
     )
-
-
-def _at_middle(apart: Array, at: Array, before: Array, after: Array) -> Array:
-    """Return a step (3,) that is described at the odometry pose `at` as one at the middle of its two edges.
-
-    If the robot was turned, the description depends on the place: poses after the step were carried to `at` past it.
-    """
-    way = between(at, compose(before, between(before, after) / 2.0))
-    there: Array = between(way, compose(apart, way))
-    return np.append(there[:2], apart[2])
 
 
 def _edges(t_s: Array, truth: Array, own: Array, start_s: float, usual: Array, apart: Array) -> tuple[int, int]:
@@ -193,8 +188,8 @@ _NONE_M = 0.3
 """Length that stands for uncorrelated errors in the prior; the poses compared are at least 1.5 m of driving apart."""
 _BESIDE = ("wheel_scale", "wheelbase", "unequal_wheels", "gyro_bias")
 """Effects that are free during the estimate: systematic odometry errors accumulate along the path, too."""
-_ASKEW, _ASKEW_LEVEL = ("icr_shift", "side_slip"), 1e-4
-"""Effects, besides `slope`, that resemble a constant error of the headings, free during its test; its level."""
+_ASKEW = ("icr_shift", "side_slip")
+"""Effects, besides `slope`, that resemble a constant error of the headings, free during its test."""
 
 
 def with_correlation_lengths(recordings: Sequence[Recording], approach: Approach) -> list[Recording]:
@@ -227,7 +222,7 @@ def _with_right_headings(recording: Recording, approach: Approach) -> Recording:
     likelihood = _likelihood(problem, components, columns, _USUAL_M)
     noise = likelihood.maximise(likelihood.initial_guess())
     yaw_rad, error_rad = float(noise.theta[0]), float(np.sqrt(noise.theta_covariance[0, 0]))
-    if not yaw_rad**2 > chi2.isf(_ASKEW_LEVEL, 1) * error_rad**2:
+    if not yaw_rad**2 > chi2.isf(SETUP_LEVEL, 1) * error_rad**2:
         return recording
     said = (
         f"headings of the truth are {np.degrees(yaw_rad):.2f} +- {np.degrees(error_rad):.2f} deg off the direction of "

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import binary_erosion
 
 from odomcorrupt.drive_types import AUTO, STEERED
 from odomcorrupt.effects import registry
@@ -28,11 +29,10 @@ from odomcorrupt.effects.effect import parameters
 from odomcorrupt.geometry.motion import SMOOTHING_S, slopes
 from odomcorrupt.geometry.se2 import increments, rotate
 from odomcorrupt.study.estimate.regressors import drives_sideways
+from odomcorrupt.study.io.raw_trajectory import runs_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
     from odomcorrupt.effects.effect import Effect, Motion
     from odomcorrupt.geometry.se2 import Array
@@ -66,9 +66,8 @@ def _rests(recording: Recording) -> tuple[float, float]:
     steps, dt_s = increments(recording.odometry.xyt), np.diff(recording.odometry_s)
     turned = np.abs(steps.dtheta_rad)
     still = (np.hypot(steps.ds_m, steps.dl_m) < _STILL_M) & (turned < _STILL_RADPS * dt_s)
-    ends = np.flatnonzero(np.diff(np.concatenate(([0], still, [0])))).reshape(-1, 2)
     rests_s = going_on_s = 0.0
-    for first, last in ends.tolist():
+    for first, last in runs_of(still):
         seconds, middle = float(dt_s[first:last].sum()), (first + last) // 2
         if seconds >= _SPELL_S:
             early, late = float(turned[first:middle].sum()), float(turned[middle:last].sum())
@@ -80,21 +79,6 @@ def _rests(recording: Recording) -> tuple[float, float]:
 def sees_travel(recordings: Sequence[Recording]) -> bool:
     """Return whether any truth measured travel."""
     return any(recording.positioned for recording in recordings)
-
-
-def is_nameable(kind: type[Effect], source: str, *, travel: bool) -> bool:
-    """Return whether an effect can be named: of the two yaw gains, only that of a known source of the heading.
-
-    travel : whether any truth measured travel; otherwise effects of travel and biases of gyros are excluded
-    """
-    if not travel and kind.name in (*_OF_TRAVEL, *_GYROS):
-        return False
-    return not source or kind.name not in GAINS_OF_TURNS.values() or is_yaw_gain_of(kind, source)
-
-
-def is_yaw_gain_of(kind: type[Effect], source: str) -> bool:
-    """Return whether an effect is the yaw gain of a known source of the heading."""
-    return kind.name == GAINS_OF_TURNS.get(source)
 
 
 MOUNTING = ("lever_arm", "mount_yaw")
@@ -165,9 +149,16 @@ class DriveType:
         return f"{self.name} ({self.reason})" if self.reason else self.name
 
     def admits(self, kind: type[Effect]) -> bool:
-        """Return whether a robot of this type can have an effect; aliases included."""
-        possible = (kind.drives is None or self.name in kind.drives) and (self.gyro or not kind.needs_gyro)
-        return possible and is_nameable(kind, self.heading_source, travel=self.travel)
+        """Return whether a robot of this type can have an effect, and it can be named; aliases included.
+
+        Of the two yaw gains, only that of a known source of the heading can. Without a truth that measured travel,
+        effects of travel and biases of gyros are excluded.
+        """
+        if not self.travel and kind.name in (*_OF_TRAVEL, *_GYROS):
+            return False
+        source = self.heading_source
+        named = not source or kind.name not in GAINS_OF_TURNS.values() or kind.name == GAINS_OF_TURNS[source]
+        return named and (kind.drives is None or self.name in kind.drives) and (self.gyro or not kind.needs_gyro)
 
 
 def drive_type_of(recordings: Sequence[Recording]) -> DriveType:
@@ -287,7 +278,8 @@ def _slow_driving(recording: Recording) -> _SlowDriving:
     along, across = rotate(world[:, :2], -heading).T
     v, omega = np.abs(along), np.abs(world[:, 2])
     raw = increments(odometry.xyt)
-    stands = _settled(np.hypot(raw.ds_m, raw.dl_m) < 1e-9)
+    # at rest together with the five increments on either side
+    stands = binary_erosion(np.hypot(raw.ds_m, raw.dl_m) < 1e-9, np.ones(11), border_value=1)
     at_rest = float(np.abs(raw.dtheta_rad[stands]).sum())
     moving = v[v > _STILL * float(v.max(initial=0.0))]
     usual = float(np.quantile(moving, _USUAL)) if len(moving) else 0.0
@@ -304,12 +296,3 @@ def _slow_driving(recording: Recording) -> _SlowDriving:
         float(dt[slow & (v > _STILL * usual)].sum()), int(begins), beyond, at_rest,
         float(dt[stands].sum()), bends,
     )  # fmt: skip
-
-
-def _settled(still: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the increments at rest whose five neighbours on either side are also at rest."""
-    both = still.copy()
-    for shift in range(1, 6):
-        both[shift:] &= still[:-shift]
-        both[:-shift] &= still[shift:]
-    return both

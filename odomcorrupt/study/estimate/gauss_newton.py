@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,8 +18,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.estimate.intervals import LEAST_INTERVALS
 from odomcorrupt.study.estimate.noise_likelihood import VarianceComponents, pseudo_inverse
 from odomcorrupt.study.estimate.problem import pose_problem
-from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, fit_noise_beside, with_random
-from odomcorrupt.study.estimate.truth_bias import SHARED, bias_roots, bias_steps, has_bias
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, fit_noise_beside
 from odomcorrupt.study.io.clock import Clock, as_rows, clock_leaders, led
 
 if TYPE_CHECKING:
@@ -119,7 +118,7 @@ class Fit:
 
     def with_noise_refitted(self, random: Sequence[Effect]) -> Fit:
         """Return the fit with other random coefficients, only its noise estimated again, with the same weights."""
-        noise = _fitted_noise(
+        noise = fit_noise_beside(
             self.problem, self.components, self.design_matrix, random, start=self.noise.free, weights=self.noise.weights
         )
         return dataclasses.replace(self, noise=noise, random=tuple(random))
@@ -206,10 +205,17 @@ def fit_problem(
             weights = _carried(weights, weighted, problem)
         columns = design_matrix(problem, free)
         components = VarianceComponents(approach.law, problem.intervals, problem.steps, gyro_noise=approach.gyro_noise)
-        noise = _fitted_noise(problem, components, columns, coefficients, start=start, weights=weights, bursts=bursts)
+        noise = fit_noise_beside(
+            problem, components, columns, coefficients, start=start, weights=weights, bursts=bursts
+        )
         start, weighted = noise.free, problem
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
-        whole = noise.theta if held is None else _held_step(noise, begun, effects, held)
+        whole = noise.theta
+        if held is not None:  # to the maximum of likelihood times prior
+            away = _made(begun, effects, np.zeros(len(whole)))
+            precision = np.diag(np.append(held**-2.0, np.zeros(len(away) - len(held))))
+            normal = pseudo_inverse(noise.theta_covariance)
+            whole = pseudo_inverse(normal + precision) @ (normal @ whole - precision @ away)
         effects, change = moved(effects, whole), np.zeros(free.shape)
         change[own_free] = whole[len(whole) - int(own_free.sum()) :]
         rows = (as_rows(clocks) + change).tolist()
@@ -242,25 +248,6 @@ def prior_deviations(effects: Sequence[Effect]) -> Array:
     For `fit_problem`: without a prior, a scale that the data do not show ends anywhere within its bounds.
     """
     return np.array([2.0 * p.typical for effect in effects for p in amplitudes(effect)])
-
-
-def _held_step(noise: NoiseFit, begun: Sequence[Effect], now: Sequence[Effect], held: Array) -> Array:
-    """Return the step (q,) to the maximum of likelihood times prior; see `fit_problem` for the prior's `held`."""
-    away = _made(begun, now, np.zeros(len(noise.theta)))
-    precision = np.diag(np.append(held**-2.0, np.zeros(len(away) - len(held))))
-    normal = pseudo_inverse(noise.theta_covariance)
-    return pseudo_inverse(normal + precision) @ (normal @ noise.theta - precision @ away)
-
-
-def _fitted_noise(
-    problem: Problem, components: VarianceComponents, columns: Array, random: Sequence[Effect], **begin: Any
-) -> NoiseFit:
-    """Return the noise of a problem with random coefficients; columns (K, 3, q) are its free linear parameters."""
-    free_too = columns
-    if has_bias(problem):
-        free_too = np.concatenate((columns, bias_roots(problem)[:, :, :SHARED], *bias_steps(problem)), axis=2)
-    noise = fit_noise_beside(problem, components, free_too, random, **begin)
-    return with_random(noise, problem, columns, random)
 
 
 def design_matrix(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | Array) -> Array:

@@ -108,8 +108,8 @@ LOWEST = 1e-5
 """Lower bound of the coefficients, treated as zero."""
 HIGHEST = 10.0
 _LOW, _HIGH = np.log(LOWEST), np.log(HIGHEST)
-_TRUTH_LOW = np.log(np.array([2e-5, 2e-5, 1e-6]))
-_TRUTH_HIGH = np.log(np.array([1.0, 1.0, 0.3]))
+TRUTH_BOUNDS = np.log([(2e-5, 1.0), (2e-5, 1.0), (1e-6, 0.3)])
+"""Logarithms of the bounds of a truth's noise, in the order of `TruthNoise`."""
 _USUAL, _SPREAD = np.log(np.array([0.02, 0.01])), 0.7
 """Prior of a localisation's errors, m and rad: median, and standard deviation of its logarithm. Particle filters with
 likelihood fields (as nav2_amcl) in two simulated rooms, with cells of 2.5 to 10 cm, 500 to 2000 particles, alphas of
@@ -245,8 +245,7 @@ class NoiseLikelihood:
     def maximise(self, free: Array, *, fixed: int | None = None) -> NoiseFit:
         """Return the fit of largest posterior from a start (m,); less precise with one held (for a profile)."""
         active = len(self._components.active)
-        low = np.concatenate((np.full(active, _LOW), _TRUTH_LOW))
-        high = np.concatenate((np.full(active, _HIGH), _TRUTH_HIGH))
+        low, high = np.concatenate((np.tile((_LOW, _HIGH), (active, 1)), TRUTH_BOUNDS)).T.copy()
         if not self._headings:
             low[active + 1] = high[active + 1] = np.log(UNKNOWN_RAD)
         if self._rho is not None or self._localised:  # mean-reverting errors do not accumulate
@@ -367,8 +366,8 @@ def pseudo_inverse(normal: Array) -> Array:
 _ROBUST_ROUNDS = 5
 _CHANCE, _SIGNAL = 0.002, 0.05
 """Fraction of outliers, or probability of the largest, that chance explains; fraction above which they are signal."""
-_OUTLIER = float(chi2.isf(2e-4, 3))
-"""Sum of squared innovations above which a node is an outlier: 1 in 5000 by chance, so trimming adds no bias."""
+ODD = 2e-4
+"""Probability that an ordinary step is an outlier by chance, so small that trimming adds no bias."""
 
 
 def outliers(square: Array) -> NDArray[np.bool_]:
@@ -377,7 +376,7 @@ def outliers(square: Array) -> NDArray[np.bool_]:
     square : (K,) sums of three squared innovations. The largest of K normal triples exceeds its limit in one fit of
         500, so a single jump of the truth is an outlier in a recording of any length
     """
-    odd: NDArray[np.bool_] = square > _OUTLIER
+    odd: NDArray[np.bool_] = square > chi2.isf(ODD, 3)
     by_chance = odd.mean() < _CHANCE and not (square > chi2.isf(_CHANCE / len(square), 3)).any()
     return np.zeros_like(odd) if by_chance else odd
 

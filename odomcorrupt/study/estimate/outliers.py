@@ -21,6 +21,7 @@ from odomcorrupt.effects.effect import parameters
 from odomcorrupt.effects.wheels import rims_of
 from odomcorrupt.geometry.se2 import between, compose, rotate, wrap
 from odomcorrupt.study.estimate.config import INTERVAL_S
+from odomcorrupt.study.estimate.noise_likelihood import ODD
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.whitener import interval_covariance
 from odomcorrupt.study.io.clock import aligned
@@ -40,8 +41,6 @@ if TYPE_CHECKING:
 _FEWEST = 6
 _LEVEL = 0.02
 """Significance level of the test that events lose distance; met by six of six."""
-_ODD = 2e-4
-"""Probability that an ordinary step is flagged as an outlier."""
 _PLAINLY_ODD, _MOST_SINGLE = 12.0, 5
 """Minimum size of a single event, see `Event.plain`, and maximum number of single events in a study."""
 _SAME_EVENT = 4
@@ -211,7 +210,7 @@ def _standing_out(fit: Fit) -> NDArray[np.int64]:
         return np.flatnonzero(fit.noise.weights > 1.0)
     innovations = fit.noise.innovations.reshape(-1, 3)[:, : 3 if fit.problem.headings else 2]
     usual = 1.4826 * np.median(np.abs(innovations), axis=0) + 1e-12
-    return np.flatnonzero(np.sum((innovations / usual) ** 2, axis=1) > chi2.isf(_ODD, innovations.shape[1]))
+    return np.flatnonzero(np.sum((innovations / usual) ** 2, axis=1) > chi2.isf(ODD, innovations.shape[1]))
 
 
 def usual_residual(fit: Fit) -> Array:
@@ -356,7 +355,11 @@ def heavy_tails(fit: Fit) -> tuple[Effect, float] | None:
     # if most outliers are reversed later, they are errors of the truth
     if not lasting or lasting < _MOSTLY * len(odd_ones):
         return None
-    driven = _driven(fit) & ~during(fit, single_events(fit))
+    # a robot at rest has no noise: with a perfect truth, its zeros would make all moving intervals look heavy-tailed
+    steps = fit.problem.intervals.odometry_step
+    travel = np.hypot(steps[:, 0], steps[:, 1]) + _ARM_M * np.abs(steps[:, 2])
+    usual = np.median(travel[travel > _STILL_M]) if (travel > _STILL_M).any() else np.inf
+    driven = (travel > _USUAL * usual) & ~during(fit, single_events(fit))
     channels = _of_odometry(fit, driven)
     if not channels:
         return None
@@ -390,17 +393,6 @@ def _of_odometry(fit: Fit, driven: NDArray[np.bool_]) -> list[int]:
     along, yaw = np.sum([(0.0, 0.0), *(effect.remainder for effect in fit.effects)], axis=0)
     explained = speed[[0, 2, 2]] <= (along, yaw, yaw)
     return [c for c in range(3 if fit.problem.headings else 2) if usual[c] > _MOSTLY and not explained[c]]
-
-
-def _driven(fit: Fit) -> NDArray[np.bool_]:
-    """Return a mask (K,) of intervals in which the robot moved a usual distance.
-
-    A robot at rest has no noise: with a perfect truth, its zeros would make all moving intervals look heavy-tailed.
-    """
-    steps = fit.problem.intervals.odometry_step
-    travel = np.hypot(steps[:, 0], steps[:, 1]) + _ARM_M * np.abs(steps[:, 2])
-    moving = travel > _STILL_M
-    return travel > _USUAL * np.median(travel[moving]) if moving.any() else moving
 
 
 def _likelihood(values: Array, inverse_dof: float, draws: int) -> float:

@@ -6,7 +6,6 @@ residual is then linear in small changes of the parameters, and each parameter h
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -109,24 +108,19 @@ class Problem:
         same = self.clocks if clocks is None else clocks
         return pose_problem(self.recordings, effects, same, approach=self.approach, before=self)
 
-    def columns(self, effect: Effect, by: Sequence[Parameter] | None = None) -> Array:
-        """Return the derivatives (K, 3, p) of the residuals by p parameters of an effect, default its amplitudes."""
+    def columns(self, effect: Effect) -> Array:
+        """Return the derivatives (K, 3, p) of the residuals by the p amplitudes of an effect."""
+        after = [e for e in self.effects if _follows(e) and not (_follows(effect) and e.name <= effect.name)]
         blocks = []
-        for p in amplitudes(effect) if by is None else by:
-            slopes = [_slope(effect, p.name, p.step, m) for m in self.motions]
-            blocks.append(self._column(effect, slopes))
+        for p in amplitudes(effect):
+            shown = [followed(after, m, _slope(effect, p, m)).T * -m.dt_s for m in self.motions]
+            blocks.append(self.intervals.column(np.concatenate(shown, axis=1).T))
         # an expression of constants has no amplitudes
         return by_column(np.stack(blocks)) if blocks else np.zeros((len(self.intervals), 3, 0))
 
     def explained(self, effect: Effect) -> Array:
         """Return the part (K, 3) of the residuals that an effect at its present values explains, to first order."""
         return self.columns(effect) @ np.array([getattr(effect, p.name) for p in amplitudes(effect)])
-
-    def _column(self, effect: Effect, changes: Sequence[Array]) -> Array:
-        """Return the change (K, 3) of the residuals by changes (n, 3) of an effect's f on each motion."""
-        after = [e for e in self.effects if _follows(e) and not (_follows(effect) and e.name <= effect.name)]
-        shown = [followed(after, m, f).T * -m.dt_s for m, f in zip(self.motions, changes, strict=True)]
-        return self.intervals.column(np.concatenate(shown, axis=1).T)
 
     def clock_columns(self) -> Array:
         """Return columns (K, 3, 2 R) of offset and rate of R recordings' clocks; a shared clock is the first one's."""
@@ -181,7 +175,7 @@ def pose_problem(
     if approach.side == "odometry" and effects:
         # speeds of the recorded odometry, accelerations of the corrected one
         again = zip(seen, smoothers, whole, strict=True)
-        seen = [replace(motion, acceleration=smoother.acceleration(now)) for motion, smoother, now in again]
+        seen = [replace(motion, acceleration=smoother.motion(now).acceleration) for motion, smoother, now in again]
     first = np.cumsum([0, *(len(motion) for motion in seen)])
     before_run = {i: int(n) for run, n in zip(runs, first, strict=False) for i in run}
     return Problem(
@@ -253,10 +247,10 @@ def _follows(effect: Effect) -> bool:
     return effect.kind == "setup" and not effect.clock
 
 
-def _slope(effect: Effect, name: str, step: float, motion: Motion) -> Array:
+def _slope(effect: Effect, p: Parameter, motion: Motion) -> Array:
     """Return the derivative (n, 3) of f with respect to one parameter."""
-    more = dataclasses.replace(effect, **{name: getattr(effect, name) + step})  # type: ignore[type-var]
+    more = replace(effect, **{p.name: getattr(effect, p.name) + p.step})  # type: ignore[type-var]
     if effect.odd and not effect.acts:
-        return error_of(more, motion) / step
-    less = dataclasses.replace(effect, **{name: getattr(effect, name) - step})  # type: ignore[type-var]
-    return (error_of(more, motion) - error_of(less, motion)) / (2.0 * step)
+        return error_of(more, motion) / p.step
+    less = replace(effect, **{p.name: getattr(effect, p.name) - p.step})  # type: ignore[type-var]
+    return (error_of(more, motion) - error_of(less, motion)) / (2.0 * p.step)

@@ -16,7 +16,7 @@ from scipy.sparse import block_diag, csr_array, diags_array, hstack
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import stacked
 from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood, fit_noise, with_residual
-from odomcorrupt.study.estimate.truth_bias import bias_roots, has_bias
+from odomcorrupt.study.estimate.truth_bias import SHARED, bias_roots, bias_steps, has_bias
 from odomcorrupt.study.estimate.whitener import KnotPosterior, band_factor, band_solve, sparse_band
 
 if TYPE_CHECKING:
@@ -115,27 +115,30 @@ def fit_noise_beside(
     weights: Array | None = None,
     bursts: bool = False,
 ) -> NoiseFit:
-    """Return the noise fitted to the residuals without the random coefficients' part; see `fit_noise` for the rest."""
-    intervals, headings = problem.intervals, problem.headings
+    """Return the noise fitted to the residuals without the random coefficients' part; see `fit_noise` for the rest.
+
+    The covariance of the result includes the random coefficients and the truth's bias, see `with_random`.
+    """
+    intervals, headings, free = problem.intervals, problem.headings, columns
+    if has_bias(problem):
+        free = np.concatenate((columns, bias_roots(problem)[:, :, :SHARED], *bias_steps(problem)), axis=2)
     if not random or start is None:
-        noise = fit_noise(
-            intervals, components, columns, headings=headings, start=start, weights=weights, bursts=bursts
-        )
-        if not random:
-            return noise
+        noise = fit_noise(intervals, components, free, headings=headings, start=start, weights=weights, bursts=bursts)
     else:
         even = np.ones(len(intervals)) if weights is None else weights
-        noise = NoiseLikelihood(intervals, components, columns, even, headings=headings).evaluate(start)
+        noise = NoiseLikelihood(intervals, components, free, even, headings=headings).evaluate(start)
+    if not random:
+        return with_random(noise, problem, columns, ())
     knots = joined([knots_of(effect, problem) for effect in random])
     for normal in _normals(knots):
         before = noise.free
-        rest = replace(intervals, residual=intervals.residual - _drawn(noise, problem, columns, knots, normal))
-        noise = fit_noise(rest, components, columns, headings=headings, start=before, weights=weights, bursts=bursts)
+        rest = replace(intervals, residual=intervals.residual - _drawn(noise, problem, free, knots, normal))
+        noise = fit_noise(rest, components, free, headings=headings, start=before, weights=weights, bursts=bursts)
         weights = noise.weights
         plain = before > np.log(_FAINT)
         if np.abs(noise.free - before)[plain].max(initial=0.0) < _SETTLED:
             break
-    return noise
+    return with_random(noise, problem, columns, random)
 
 
 def without_process(noise: NoiseFit, problem: Problem, columns: Array, random: Sequence[Effect]) -> Intervals:

@@ -116,8 +116,12 @@ class MotionSmoother:
 
     def motion(self, recording: Recording) -> Motion:
         """Return the smooth motion of the recording with other odometry at the same stamps."""
-        twist = self._twist(recording)
-        return self._motion(twist, self._accelerations(twist))
+        if self._side == "odometry":
+            twist = self._slopes[0].twist(recording.odometry)
+        else:
+            twist = np.concatenate([part.twist(part.path) for part in self._slopes])
+        parts = zip(self._slopes, np.split(twist, self._cuts), strict=True)
+        return self._motion(twist, np.concatenate([slopes.lines.accelerations(part) for slopes, part in parts]))
 
     def _motion(self, twist: Array, acceleration: Array) -> Motion:
         v, vy, omega = np.ascontiguousarray(twist.T)
@@ -137,19 +141,6 @@ class MotionSmoother:
             reported=None if self._side == "odometry" else self.odometry.reported,
             steps=self.odometry.steps,
         )
-
-    def acceleration(self, recording: Recording) -> Array:
-        """Return only the acceleration (n, 3) of `motion`."""
-        return self._accelerations(self._twist(recording))
-
-    def _accelerations(self, twist: Array) -> Array:
-        parts = zip(self._slopes, np.split(twist, self._cuts), strict=True)
-        return np.concatenate([slopes.lines.accelerations(part) for slopes, part in parts])
-
-    def _twist(self, recording: Recording) -> Array:
-        if self._side == "odometry":
-            return self._slopes[0].twist(recording.odometry)
-        return np.concatenate([part.twist(part.path) for part in self._slopes])
 
 
 class _Odometry:

@@ -32,7 +32,9 @@ if TYPE_CHECKING:
 
 PRIOR_DOF = 20.0
 """Weight of the variance ratio shared by all columns, in degrees of freedom."""
-_LENGTH_S, _FEWEST, _MOST = 15.0, 20, 60
+BLOCK_S, _FEWEST, _MOST = 15.0, 20, 60
+"""Usual length of a block, seconds, over which errors of a robot are correlated, so that blocks are nearly independent;
+least and largest number of blocks."""
 
 
 def block_of(problem: Problem) -> NDArray[np.int64]:
@@ -42,7 +44,7 @@ def block_of(problem: Problem) -> NDArray[np.int64]:
     """
     intervals, run = problem.intervals, problem.run
     total = float(np.sum(intervals.end_s - intervals.start_s))
-    length = total / int(np.clip(total / _LENGTH_S, _FEWEST, _MOST))
+    length = total / int(np.clip(total / BLOCK_S, _FEWEST, _MOST))
     end_s = [intervals.end_s[run == r] for r in np.unique(run)]
     within = np.concatenate([((own_s - own_s[0]) / length).astype(np.int64) for own_s in end_s])
     rank = ranks_of(problem.recordings)[run]
@@ -55,18 +57,14 @@ def between_blocks(block: NDArray[np.int64], pull: Array, r: Array) -> tuple[Arr
     block, r : (m,) block index of each innovation, and the innovations
     pull : (m, p) weight of each innovation in each estimate
     """
-    moved, known = block_sums(block, pull * r[:, None]), block_sums(block, pull**2)
+    first = np.flatnonzero(np.diff(block, prepend=-1))  # of each block
+    moved, known = (np.add.reduceat(values, first, axis=0) for values in (pull * r[:, None], pull**2))
     whole = np.maximum(known.sum(axis=0), 1e-300)
     parts = known / whole
     left = moved - parts * moved.sum(axis=0)
     variance: Array = (left**2 / np.maximum(1.0 - parts, 1e-6)).sum(axis=0) / whole
     dof: Array = np.maximum(1.0 / np.maximum(np.sum(parts**2, axis=0), 1e-300) - 1.0, 0.5)
     return variance, dof
-
-
-def block_sums(block: NDArray[np.int64], values: Array) -> Array:
-    """Return the sums (blocks, p) over each block of values (m, p); the blocks are in ascending order."""
-    return np.add.reduceat(values, np.flatnonzero(np.diff(block, prepend=-1)), axis=0)
 
 
 def shared_variance(variance: Array, dof: Array) -> float:

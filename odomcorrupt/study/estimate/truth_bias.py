@@ -39,10 +39,9 @@ LAG_BIAS_S, GYRO_LAG_S = 1e-3, 0.01
 """Standard deviation of a lag of turns behind travel, seconds: of laser sweeps (below 0.7 ms in simulated drives), and
 of a gyro as the truth, which has a filter."""
 LOCAL_BIAS = 1e-3
-"""Standard deviation of the scale of a map cell: keyframes half a metre apart have errors of one or two millimetres."""
+"""Standard deviation of the scale of a map cell: keyframes half a metre apart have errors of one or two millimetres;
+and of the stretch and the shear of the whole map, in its axes."""
 CELL_M = 2.0
-MAP_STRAIN = 1e-3
-"""Standard deviation of the stretch and of the shear of a whole map, in its axes: that of its cells."""
 GYRO_BIAS, USUAL_WALK = 0.02, 1e-4
 """Standard deviation of a gyro's bias at the beginning, rad/s, which rests of the drive measure, and its random walk if
 that is not estimated, rad/s/sqrt(s)."""
@@ -66,21 +65,24 @@ def bias_roots(problem: Problem) -> Array:
     intervals, runs = problem.intervals, problem.recordings
     scale = np.array([r.truth_scale_error for r in runs])[problem.run]
     matched = np.array([float(r.matched) for r in runs])[problem.run]
-    along, turn, speed = _smooth_motion(problem)
+    # Residuals of travel (K, 2) and turns (K,) per unit of scale error, and speeds (K,), are those of the regressors'
+    # smooth motion: the truth's own steps contain the noise of the residual, which the factors would then reflect.
+    twist = np.concatenate([m.twist * m.dt_s[:, None] for m in problem.motions])
+    along = -intervals.column(twist * (1.0, 1.0, 0.0))[:, :2]
+    turn = -intervals.column(twist * (0.0, 0.0, 1.0))[:, 2]
+    speed = np.hypot(along[:, 0], along[:, 1]) / (intervals.end_s - intervals.start_s)
     columns = [_of_travel(along * weight[:, None]) for weight in (scale, SPEED_BIAS * matched * speed)]
     scale_of_turns = np.array([r.turn_scale_error for r in runs])[problem.run]
     columns += [_of_turn(np.hypot(TURN_BIAS * matched, scale_of_turns) * turn)]
     columns += [_of_turn(TURN_BIAS * matched * turn * speed)]
     by_gyro = np.array([float(not r.positioned) for r in runs])[problem.run]
-    kind = registry().get("channel_lag")
-    if kind is not None:
-        lag_s = np.maximum(LAG_BIAS_S * matched, GYRO_LAG_S * by_gyro)
-        columns += [lag_s[:, None] * part for part in np.moveaxis(problem.columns(kind()), 2, 0)]
+    lag_s = np.maximum(LAG_BIAS_S * matched, GYRO_LAG_S * by_gyro)
+    columns += [lag_s[:, None] * part for part in np.moveaxis(problem.columns(registry()["channel_lag"]()), 2, 0)]
     columns += [*np.moveaxis(_gyro_roots(problem), 2, 0)]
     for r, run in enumerate(runs):
         if run.matched:
             own = along * (problem.run == r)[:, None]
-            columns += [_of_travel(MAP_STRAIN * part) for part in _strains(problem, own)]
+            columns += [_of_travel(LOCAL_BIAS * part) for part in _strains(problem, own)]
     cell = np.floor(intervals.truth_xyt[:, :2] / CELL_M).astype(np.int64)
     _, place, count = np.unique(
         np.column_stack((problem.run.astype(np.int64), cell)), axis=0, return_inverse=True, return_counts=True
@@ -125,19 +127,6 @@ def turn_errors(problem: Problem, noise: NoiseFit) -> Array:
     roots = _gyro_roots(problem)
     turns: Array = (roots @ (noise.whitener.whiten(roots).T @ noise.innovations))[:, 2]
     return turns
-
-
-def _smooth_motion(problem: Problem) -> tuple[Array, Array, Array]:
-    """Return the residual of travel (K, 2) and turns (K,) per unit of scale error of the truth, and speeds (K,).
-
-    They are computed from the smooth motion of the regressors, never from the truth's own steps. Those contain the same
-    noise as the residual, and the estimated factor would reflect it instead of a scale error.
-    """
-    twist = np.concatenate([np.stack((m.v, m.vy, m.omega), axis=1) * m.dt_s[:, None] for m in problem.motions])
-    travel = twist * (1.0, 1.0, 0.0)
-    along = -problem.intervals.column(travel)[:, :2]
-    turn = -problem.intervals.column(twist * (0.0, 0.0, 1.0))[:, 2]
-    return along, turn, np.hypot(along[:, 0], along[:, 1]) / (problem.intervals.end_s - problem.intervals.start_s)
 
 
 def _strains(problem: Problem, along: Array) -> tuple[Array, Array]:

@@ -28,6 +28,7 @@ from scipy.linalg import lapack
 from scipy.sparse import csc_array, hstack
 
 from odomcorrupt.errors import FitError
+from odomcorrupt.geometry.se2 import rotate
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array, sparray
@@ -225,7 +226,8 @@ def truth_pieces(intervals: Intervals) -> list[tuple[Array, Array]]:
     earlier = np.where(linked, np.concatenate(([1.0], fresh[:-1])), 1.0)
     pieces = []
     for kept in _KEPT:
-        diagonal = _congruent(end, kept, fresh) + _congruent(before, kept, earlier)
+        at_end, at_start = (m @ kept @ np.swapaxes(m, 1, 2) for m in (end, before))
+        diagonal = at_end * fresh[:, None, None] + at_start * earlier[:, None, None]
         below = before[1:] @ kept @ np.swapaxes(end[:-1], 1, 2)
         pieces.append((diagonal, -below * (earlier * linked)[1:, None, None]))
     walk = np.zeros((len(intervals), 3, 3))
@@ -272,11 +274,6 @@ def _turned(angle_rad: Array) -> Array:
     return turned
 
 
-def _congruent(m: Array, kept: Array, weight: Array) -> Array:
-    """Return M kept M' (K, 3, 3), each multiplied by its weight (K,)."""
-    return (m @ kept @ np.swapaxes(m, 1, 2)) * weight[:, None, None]
-
-
 def quasi_differences(flat: Array, rho: Array) -> Array:
     """Return z_k = x_k - rho_k x_{k-1} of columns (3 K, c), each contiguous in memory."""
     x = flat.reshape(len(rho), 3, -1)
@@ -293,7 +290,7 @@ def unseen_piece(intervals: Intervals) -> tuple[Array, Array]:
     return intervals.end_unseen + at_start @ np.swapaxes(a, 1, 2), below
 
 
-def band_of(diagonal: Array, below: Array | None = None) -> Array:
+def band_of(diagonal: Array, below: Array) -> Array:
     """Return blocks (K, 3, 3) on the diagonal, and (K - 1, 3, 3) below it, as a lower banded matrix (6, 3 K)."""
     k = len(diagonal)
     band = np.zeros((BAND + 1, 3 * k))
@@ -301,8 +298,7 @@ def band_of(diagonal: Array, below: Array | None = None) -> Array:
         for column in range(row + 1):
             band[row - column, column::3] = diagonal[:, row, column]
         for column in range(3):
-            if below is not None:
-                band[3 + row - column, column : 3 * (k - 1) : 3] = below[:, row, column]
+            band[3 + row - column, column : 3 * (k - 1) : 3] = below[:, row, column]
     return band
 
 
@@ -324,7 +320,7 @@ def fixed_band(intervals: Intervals) -> Array:
     return band
 
 
-def factored(band: Array, rho: Array | None = None) -> Whitener:
+def factored(band: Array, rho: Array | None) -> Whitener:
     """Return the whitener of a lower banded covariance (6, 3 K) of residuals, or of their quasi-differences."""
     factor = band_factor(band)
     return Whitener(factor, half_log_det(factor), rho=rho)
@@ -332,11 +328,8 @@ def factored(band: Array, rho: Array | None = None) -> Whitener:
 
 def _adjoint_of_inverse(xyt: Array) -> Array:
     """Return Ad(D^-1) (K, 3, 3) of poses D (K, 3)."""
-    c, s = np.cos(xyt[:, 2]), np.sin(xyt[:, 2])
-    x, y = xyt[:, 0], xyt[:, 1]
-    a = np.zeros((len(xyt), 3, 3))
-    a[:, 0, 0], a[:, 0, 1], a[:, 1, 0], a[:, 1, 1], a[:, 2, 2] = c, s, -s, c, 1.0
+    a = _turned(-xyt[:, 2])
     # J R^T d: displacement of the far end by a heading error
-    a[:, 0, 2] = -(-s * x + c * y)
-    a[:, 1, 2] = c * x + s * y
+    ahead, left = rotate(xyt[:, :2], -xyt[:, 2]).T
+    a[:, 0, 2], a[:, 1, 2] = -left, ahead
     return a

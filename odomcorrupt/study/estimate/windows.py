@@ -117,15 +117,12 @@ def joint_rmse(windows: Iterable[Intervals]) -> float:
     return float(np.sqrt(np.mean(np.sum(np.concatenate(misses) ** 2, axis=1)))) if misses else float("nan")
 
 
-def phased_misses(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> list[Array]:
-    """Return squared position errors (n,) at window ends, m^2, for five phases: a steadier estimate than one phase."""
+def drift_of(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> Drift:
+    """Return the position errors at the ends of windows, for five phases: a steadier estimate than one phase."""
     phases = np.arange(5) / 5.0
-    return [np.concatenate([_squared_misses(run, length_s, phase) for run in recordings]) for phase in phases]
-
-
-def phased_rmse(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> float:
-    """Return the root mean square position error (m) of `phased_misses`; NaN if there is no complete window."""
-    return Drift(tuple(phased_misses(recordings, length_s))).rmse
+    return Drift(
+        tuple(np.concatenate([_squared_misses(run, length_s, phase) for run in recordings]) for phase in phases)
+    )
 
 
 def _squared_misses(recording: Recording, length_s: float, phase: float) -> Array:
@@ -332,7 +329,7 @@ def _quarter(xy: Array) -> Array:
 
 
 class Drift(NamedTuple):
-    """Squared position errors after 10 s: one array (n,) of windows in m^2 for each of five phases."""
+    """Squared position errors after a time: one array (n,) of windows in m^2 for each of five phases."""
 
     squared: tuple[Array, ...]
 
@@ -388,4 +385,4 @@ def _turned(recording: Recording, fitted: Fit, number: int, turns: Array) -> Rec
 
 def ten_second_error(fitted: Fit, length_s: float = WINDOW_S) -> float:
     """Return the root mean square position error (m) after 10 s, or `length_s`, on the fitted recordings themselves."""
-    return phased_rmse([with_recomputed_headings(recording) for recording in fitted.problem.left], length_s)
+    return drift_of([with_recomputed_headings(recording) for recording in fitted.problem.left], length_s).rmse

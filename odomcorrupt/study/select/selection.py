@@ -23,7 +23,7 @@ from odomcorrupt.study.estimate.gauss_newton import Fit, fit
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.estimate.truth_bias import with_bias_walks
-from odomcorrupt.study.estimate.windows import phased_rmse, ten_second_error
+from odomcorrupt.study.estimate.windows import drift_of, ten_second_error
 from odomcorrupt.study.io.clock import Clock, as_rows, clock_leaders, led
 from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
 from odomcorrupt.study.select.candidates import drop_term, score_terms, tested_candidates
@@ -89,7 +89,7 @@ def learn(
     start = (*start, *mounting_of(recordings, start))
     as_given, encoders = recordings, encoder_effects(recordings[0])
     recordings = [restore_lost(recording, encoders) for recording in recordings]
-    if encoders and phased_rmse(recordings) > phased_rmse(as_given):  # what looks like losses are coarse ticks
+    if encoders and drift_of(recordings).rmse > drift_of(as_given).rmse:  # what looks like losses are coarse ticks
         recordings, encoders = as_given, [effect for effect in encoders if not effect.restorable]
     approach = choose_approach(recordings, law_name)
     recordings = with_bias_walks(with_correlation_lengths(recordings, approach), approach)

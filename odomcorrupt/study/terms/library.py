@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.wheels import brings_track
-from odomcorrupt.study.estimate.drive_type import MOUNTING, DriveType, drive_type_of, is_yaw_gain_of, mountings
+from odomcorrupt.study.estimate.drive_type import GAINS_OF_TURNS, MOUNTING, DriveType, drive_type_of, mountings
 from odomcorrupt.study.estimate.regressors import drives_sideways
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.terms.term import LibraryTerm
@@ -62,4 +62,4 @@ def _is_tested(kind: type[Effect], drive: DriveType) -> bool:
     # a lever arm has two parameters, so its one-parameter alias for steered robots is tested too; but not with an
     # antenna, which is likelier off the axle than the base frame is
     of_steered = drive.steered and kind.drives is not None and not drive.antenna
-    return kind.aliased_with is None or of_steered or is_yaw_gain_of(kind, drive.heading_source)
+    return kind.aliased_with is None or of_steered or kind.name == GAINS_OF_TURNS.get(drive.heading_source)

@@ -21,7 +21,7 @@ from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.gauss_newton import fit_problem
 from odomcorrupt.study.estimate.problem import pose_problem
-from odomcorrupt.study.estimate.windows import phased_rmse
+from odomcorrupt.study.estimate.windows import drift_of
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.encoders import restore_lost, thinned
 from odomcorrupt.study.io.recording import was_fitted
@@ -135,8 +135,8 @@ def compare(
     return Comparison(
         recordings=tuple(r.name for r in recordings),
         clocks=found,
-        raw_error_m=phased_rmse(raw),
-        clock_error_m=phased_rmse(clock_right),
+        raw_error_m=drift_of(raw).rmse,
+        clock_error_m=drift_of(clock_right).rmse,
         clock_trajectory=trajectory_error(clock_right),
         evaluations=tuple(evaluations.values()),
     )
@@ -188,7 +188,7 @@ def _evaluation(
     return ModelEvaluation(
         name=name,
         judged_on="folds" if any(piece.refitted for piece in pieces) else "fitted data" if fitted else "recordings",
-        ten_second_error_m=phased_rmse([piece.left for piece in pieces]),
+        ten_second_error_m=drift_of([piece.left for piece in pieces]).rmse,
         nats=log_score_of(pieces, first),
         horizons=horizons,
         curve=tuple(h for h in every if h.distance_m in CURVE_M),

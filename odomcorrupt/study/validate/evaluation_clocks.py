@@ -15,7 +15,7 @@ import numpy as np
 
 from odomcorrupt.study.estimate.clocks import Clocks, clock_rivals, find_clocks
 from odomcorrupt.study.estimate.problem import undo
-from odomcorrupt.study.estimate.windows import phased_rmse
+from odomcorrupt.study.estimate.windows import drift_of
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.headings import with_headings, with_recomputed_headings
 from odomcorrupt.study.validate.goodness_of_fit import PRACTICAL_FACTOR
@@ -50,7 +50,8 @@ def clocks_beside(
 
     def error_m(clocks: Sequence[Clock]) -> float:
         on_time = [aligned(r, c) for r, c in zip(recordings, clocks, strict=True)]
-        return phased_rmse([with_recomputed_headings(undo(r, own)) for r, own in zip(on_time, effects, strict=True)])
+        left = [with_recomputed_headings(undo(r, own)) for r, own in zip(on_time, effects, strict=True)]
+        return drift_of(left).rmse
 
     found = plain
     n = len(recordings)

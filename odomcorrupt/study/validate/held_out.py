@@ -16,7 +16,7 @@ from odomcorrupt.errors import FitError
 from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, part_name
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
-from odomcorrupt.study.estimate.windows import Drift, phased_misses, ten_second_error
+from odomcorrupt.study.estimate.windows import drift_of, ten_second_error
 from odomcorrupt.study.io.clock import aligned
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.validate.evaluation import block_differences, evaluate_stretch
@@ -171,7 +171,7 @@ def _test(
 
 
 def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequence[Evaluation]) -> HeldOut:
-    with_it, base = (Drift(tuple(phased_misses([piece.left for piece in pieces]))) for pieces in (whole, without))
+    with_it, base = (drift_of([piece.left for piece in pieces]) for pieces in (whole, without))
     # A random part is tested with its noise level; other parts are not, because the level differs between days.
     gains = block_differences(whole, without, sized=not any(part.name in CORRELATED_NOISE for part in parts))
     nats = float(gains.sum())

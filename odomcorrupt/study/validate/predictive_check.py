@@ -25,7 +25,7 @@ from odomcorrupt.rng import stream
 from odomcorrupt.study.estimate.outliers import events
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.regressors import MotionSmoother
-from odomcorrupt.study.estimate.windows import WINDOW_S, phased_misses
+from odomcorrupt.study.estimate.windows import WINDOW_S, drift_of
 from odomcorrupt.study.io.clock import aligned
 from odomcorrupt.study.io.headings import with_recomputed_headings
 from odomcorrupt.study.io.recording import Recording
@@ -237,7 +237,7 @@ def _long_drift(measured: Sequence[Recording], drawn: Sequence[Sequence[Recordin
 
 
 def _mean_square(recordings: Sequence[Recording], after_s: float = WINDOW_S) -> float:
-    squared = np.concatenate(phased_misses([with_recomputed_headings(one) for one in recordings], after_s))
+    squared = np.concatenate(drift_of([with_recomputed_headings(one) for one in recordings], after_s).squared)
     return float(np.mean(squared)) if len(squared) else float("nan")
 
 

@@ -19,7 +19,7 @@ from odomcorrupt.errors import EffectError, ModelError, OdomCorruptError
 from odomcorrupt.geometry.se2 import compose, inverse
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.study.estimate.problem import undo
-from odomcorrupt.study.estimate.windows import phased_rmse
+from odomcorrupt.study.estimate.windows import drift_of
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.headings import with_recomputed_headings
 from odomcorrupt.study.validate.predictive_check import overlapping, smooth_truth
@@ -230,7 +230,7 @@ def _correctable(model: MotionModel, drives: Sequence[_Drive]) -> tuple[MotionMo
 def _fitted_error(model: MotionModel, drives: Sequence[_Drive]) -> float:
     """Return the position error (m) after 10 s of the fit on its data."""
     effects = (*model.effects, *model.setup.effects)
-    return phased_rmse([with_recomputed_headings(undo(d.recording, effects)) for d in drives])
+    return drift_of([with_recomputed_headings(undo(d.recording, effects)) for d in drives]).rmse
 
 
 def _correction(effects: Sequence[Effect], drive: _Drive) -> Array:
@@ -247,7 +247,7 @@ def _corrected_error(effects: Sequence[Effect], model: MotionModel, drives: Sequ
         before = drive.recording.odometry
         odometry = replace(before, xyt=before.xyt + _correction(effects, drive))
         runs.append(with_recomputed_headings(undo(replace(drive.recording, odometry=odometry), model.setup.effects)))
-    return phased_rmse(runs)
+    return drift_of(runs).rmse
 
 
 def _without(model: MotionModel, effect: Effect) -> tuple[MotionModel, str]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.geometry.se2 import between, compose, wrap
-from odomcorrupt.study.estimate.windows import distance_windows, joint_rmse, phased_rmse
+from odomcorrupt.study.estimate.windows import distance_windows, drift_of, joint_rmse
 from odomcorrupt.study.io.clock import Clock, aligned
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def clock_gain(recordings: Sequence[Recording], clocks: Sequence[Clock]) -> Cloc
 
     def errors(runs: list[Recording]) -> list[float]:
         after_path = [joint_rmse(distance_windows(run, length_m) for run in runs) for length_m in (10.0, 50.0)]
-        return [*after_path, phased_rmse(runs)]
+        return [*after_path, drift_of(runs).rmse]
 
     before = errors([aligned(r, Clock()) for r in recordings])
     after = errors([aligned(r, c) for r, c in zip(recordings, clocks, strict=True)])
