@@ -49,10 +49,10 @@ from odomcorrupt.study.design.drives import ENOUGH_NATS
 from odomcorrupt.study.design.identifiability import FOUND
 from odomcorrupt.study.design.manoeuvres import MANOEUVRES
 from odomcorrupt.study.estimate import config
+from odomcorrupt.study.estimate.robust_errors import BLOCK_S
 from odomcorrupt.study.select.contribution import FAR_M
 from odomcorrupt.study.select.decisions import DECISIONS as D
 from odomcorrupt.study.validate import round_trip
-from odomcorrupt.study.validate.evaluation import BLOCK_S
 from odomcorrupt.study.validate.goodness_of_fit import PRACTICAL_FACTOR
 
 ROOT = Path(__file__).parents[2]

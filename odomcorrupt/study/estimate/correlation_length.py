@@ -100,8 +100,8 @@ def _largest(t_s: Array, truth: Array, own: Array, found: list[PoseStep]) -> Pos
         return None
     apart = long.apart[best]
     before, after = _edges(t_s, truth, own, float(long.start_s[best]), long.usual, apart)
-    # Poses after the step were carried to the pose `at`, past it. If the robot was turned, its description depends on the
-    # place, and that at the middle of its two edges is meant.
+    # Poses after the step were carried past it, to the pose `at`. If the robot was turned, its description depends on
+    # the place, and that at the middle of its two edges is meant.
     at = own[np.searchsorted(t_s, long.start_s[best])]
     way = between(at, compose(own[before], between(own[before], own[after]) / 2.0))
     apart = np.append(between(way, compose(apart, way))[:2], apart[2])

@@ -81,17 +81,11 @@ def uncertainty_of(
     columns = np.concatenate(parts, axis=2)[:, :count]
     solved = np.linalg.solve(errors.covariance, columns)
     gram = np.einsum("nci,ncj->ij", columns, solved) / (len(errors) * count)
-    return ParameterUncertainty(np.array(scales), gram, _truth_spread(model, windows, errors, problem))
-
-
-def _truth_spread(model: MotionModel, windows: Intervals, errors: WindowErrors, problem: Problem) -> Array:
-    """Return the relative standard deviation (c,) of squares from the truth's noise, by its share of the covariance."""
-    count = errors.error.shape[1]
-    if not any(r.localised for r in problem.recordings):
-        return np.zeros(count)
-    own = windows.covariance(model.noise.law, model.noise.coefficients, problem.steps)[:, :count, :count]
-    odometry, total = (np.einsum("nii->i", part) for part in (own, errors.covariance))
-    return LOCALISED * (1.0 - odometry / total)
+    truth = np.zeros(count)
+    if any(r.localised for r in problem.recordings):  # by its share of the covariance
+        odometry = windows.covariance(law, k, steps)[:, :count, :count]
+        truth = LOCALISED * (1.0 - np.einsum("nii->i", odometry) / np.einsum("nii->i", errors.covariance))
+    return ParameterUncertainty(np.array(scales), gram, truth)
 
 
 HORIZONS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -192,11 +186,6 @@ def _squares(
     offset = freedom * np.maximum(np.sum((by @ uncertainty.gram) * by, axis=1), 0.0)
     if errors.shared is None:
         return scale * rng.noncentral_chisquare(freedom, offset)
-    return scale * (_draws(errors, rng) + offset)
-
-
-def _draws(errors: WindowErrors, rng: np.random.Generator) -> Array:
-    """Return draws of the sum of all normalised squares of windows with shared errors."""
     weights = np.sort(errors.spectrum)
     weights = weights[weights > _MIN_WEIGHT]
     total = np.zeros(_DRAWS)
@@ -205,7 +194,7 @@ def _draws(errors: WindowErrors, rng: np.random.Generator) -> Array:
     for alike in np.split(weights, np.flatnonzero(np.diff(group)) + 1):
         if len(alike):
             total += alike.mean() * rng.chisquare(len(alike), _DRAWS)
-    return total
+    return scale * (total + offset)
 
 
 def _excess(errors: WindowErrors, parts: Sequence[tuple[WindowErrors, ParameterUncertainty]]) -> Array:

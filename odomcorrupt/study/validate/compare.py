@@ -178,8 +178,8 @@ def _evaluation(
     *,
     fitted: bool,
 ) -> ModelEvaluation:
-    every = horizons_of(pieces, sorted({*HORIZONS_M, *CURVE_M}))
-    horizons = tuple(h for h in every if h.distance_m in HORIZONS_M)
+    curve = horizons_of(pieces, CURVE_M)
+    horizons = tuple(h for h in curve if h.distance_m in HORIZONS_M)
     axes = min((piece.recording.axes for piece in pieces), key=len)
     chains = [chain[:, : len(axes)] for piece in pieces for chain in piece.chains()]
     pits, whiteness = pits_of(chains, axes), whiteness_of(chains, axes)
@@ -191,7 +191,7 @@ def _evaluation(
         ten_second_error_m=drift_of([piece.left for piece in pieces]).rmse,
         nats=log_score_of(pieces, first),
         horizons=horizons,
-        curve=tuple(h for h in every if h.distance_m in CURVE_M),
+        curve=curve,
         pits=pits,
         whiteness=whiteness,
         verdict=verdict_of(horizons, *(({}, {}) if localised else (pits, whiteness))),

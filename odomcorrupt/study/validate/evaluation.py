@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from odomcorrupt.errors import FitError
 from odomcorrupt.model.motion_model import TruthNoise
-from odomcorrupt.study.estimate.noise_likelihood import outliers
+from odomcorrupt.study.estimate.noise_likelihood import TRUTH_BOUNDS, outliers
 from odomcorrupt.study.estimate.problem import Problem, pose_problem
 from odomcorrupt.study.estimate.random_process import (
     CORRELATED_NOISE,
@@ -21,6 +21,7 @@ from odomcorrupt.study.estimate.random_process import (
     widened,
 )
 from odomcorrupt.study.estimate.regressors import truth_noise
+from odomcorrupt.study.estimate.robust_errors import BLOCK_S
 from odomcorrupt.study.estimate.whitener import FLOOR, Whitener, interval_covariance, whitener
 from odomcorrupt.study.estimate.windows import WindowErrors, distance_windows, position_windows
 from odomcorrupt.study.io.headings import UNKNOWN_RAD
@@ -301,9 +302,8 @@ def _robust_truth(intervals: Intervals, q: Array, recording: Recording) -> tuple
     """
     spread = (1.4826 * np.median(np.abs(intervals.residual), axis=0)) ** 2
     both = np.maximum(spread - np.median(np.einsum("kii->ki", q), axis=0), 0.1 * spread) / 2.0
-    bounds = np.log([(2e-5, 1.0), (2e-5, 1.0), (1e-6, 0.3)])
     start = np.append(np.log(np.maximum((max(both[0], both[1]), both[2]), 1e-12)) / 2.0, np.log(1e-4))
-    start = np.clip(start, bounds[0, 0], 0.0)
+    start = np.clip(start, TRUTH_BOUNDS[0, 0], 0.0)
     truth, usual = TruthNoise(*np.exp(start).tolist()), q
     for _ in range(_ROBUST_ROUNDS):
         try:
@@ -321,13 +321,9 @@ def _robust_truth(intervals: Intervals, q: Array, recording: Recording) -> tuple
     def cost(free: Array) -> float:
         return -_nats(intervals, usual, TruthNoise(*np.exp(free).tolist()), recording)
 
-    found = minimize(cost, start, method="L-BFGS-B", bounds=bounds, options={"eps": 1e-4, "maxiter": 40}).x
+    found = minimize(cost, start, method="L-BFGS-B", bounds=TRUTH_BOUNDS, options={"eps": 1e-4, "maxiter": 40}).x
     xy, yaw, walk = np.exp(found).tolist()
     return TruthNoise(xy, yaw if recording.headed else UNKNOWN_RAD, walk), usual
-
-
-BLOCK_S = 15.0
-"""Errors of a robot are correlated over seconds; blocks of this length, seconds, are nearly independent."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -147,11 +147,9 @@ def _parts(fitted: Fit) -> list[Effect]:
 
 
 def _without(fitted: Fit, parts: Sequence[Effect]) -> Fit:
-    return fitted.refit(_others(fitted.effects, parts), random=_others(fitted.random, parts))
-
-
-def _others(effects: Sequence[Effect], parts: Sequence[Effect]) -> list[Effect]:
-    return [e for e in effects if not any(e is part for part in parts)]
+    kinds = fitted.effects, fitted.random
+    effects, random = ([e for e in own if not any(e is part for part in parts)] for own in kinds)
+    return fitted.refit(effects, random=random)
 
 
 def _test(
