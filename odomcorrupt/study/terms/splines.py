@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.study.terms.basis.place import spread
+from odomcorrupt.study.terms.basis import spread
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -1,0 +1,605 @@
+"""Basis functions of one regressor, for errors that no library effect explains.
+
+An error rate is a motion (travel or sideways travel, its absolute value, or turn) times a basis function of one
+regressor, such as speed, place or time. Its target, a channel of the body or the wheels, is a separate choice.
+Thresholds, places and moments are families with shape parameters; the penalty accounts for the size of the family.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise, product
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+import numpy as np
+
+from odomcorrupt.effects.wheels import wheel_motions
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from odomcorrupt.geometry.motion import Motion
+    from odomcorrupt.geometry.se2 import Array
+
+    Of = Callable[[Motion], Array]
+
+COEFFICIENTS = ("k", "m")
+"""Names of the coefficients in an expression."""
+REFINING = 2
+"""Factor on the size of a family for each shape parameter that may be refined."""
+
+
+@dataclass(frozen=True, slots=True)
+class BasisFunction:
+    """A function of one regressor.
+
+    regressor : name of the regressor
+    text : expression of an effect, with coefficients named as in `COEFFICIENTS`
+    parts : one function per coefficient, from a motion of n intervals to values (n,)
+    trials : size of the family that the function is selected from
+    form : "step" or "hinge" at a threshold, which are searched separately; else ""
+    reaches : classes of targets, see `Action.reaches`, except those for which the library has the effect
+    shape, steps : shape parameters that may be refined, and the first step of a search over each
+    with_shape : returns the function with other shape parameters
+    related : functions of other shapes to be tried if this one has a large gain
+    within : returns the function that is zero far from the values (n,) of its regressor, each with an amount of motion
+        (n,), on which it was fitted
+    place : region in the plane of the truth, or headings, in words; "" if it is not confined
+    """
+
+    regressor: str
+    text: str
+    parts: tuple[Of, ...]
+    trials: int = 1
+    form: str = ""
+    reaches: tuple[str, ...] = ("body",)
+    shape: tuple[float, ...] = ()
+    steps: tuple[float, ...] = ()
+    with_shape: Callable[[tuple[float, ...]], BasisFunction] | None = field(default=None, compare=False)
+    related: tuple[BasisFunction, ...] = field(default=(), compare=False)
+    within: Callable[[Array, Array], BasisFunction] | None = field(default=None, compare=False)
+    place: str = field(default="", compare=False)
+
+
+def basis_functions(motions: Sequence[Motion], *, placed: bool = True, sideways: bool = False) -> list[BasisFunction]:
+    """Return every basis function to be tried on these motions.
+
+    placed : whether the motions are in one frame, so that functions of heading and place are possible
+    sideways : whether the robot drives sideways, so that functions of that speed are possible
+    """
+    return [
+        *((wave_of_heading(1), wave_of_heading(2), *functions_of_place(motions)) if placed else ()),
+        *functions_of_time(motions),
+        *functions_of_motion(motions, sideways=sideways),
+    ]
+
+
+# Of the heading: waves, which can be confined to the headings that were driven.
+_BINS = 72
+"""Number of bins of the heading, 5 degrees each."""
+_LEAST_SHARE = 0.005
+"""Least fraction of the motion in a bin of headings that count as driven."""
+_BRIDGED = 0.25
+"""Largest gap between driven headings that a wave is interpolated over, as a fraction of its period."""
+
+
+class _Arc(NamedTuple):
+    """Headings whose difference from a middle, rad, has a larger cosine than `least`."""
+
+    middle: float
+    least: float
+
+    @property
+    def text(self) -> str:
+        """Expression that is 1 at these headings and 0 at others."""
+        return f"where(cos(theta {'-' if self.middle >= 0.0 else '+'} {abs(self.middle)}) > {self.least}, 1, 0)"
+
+    @property
+    def words(self) -> str:
+        """The headings in words, in degrees."""
+        middle, half = np.degrees((self.middle, np.arccos(self.least)))
+        return f"{middle - half:.0f} to {middle + half:.0f}"
+
+
+def wave_of_heading(times: int, arcs: Sequence[_Arc] = ()) -> BasisFunction:
+    """Return a wave with a number of periods per turn, on arcs of headings if there are any, else on all headings."""
+    inner = "theta" if times == 1 else f"{times} * theta"
+    text, inside = f"k * cos({inner}) + m * sin({inner})", [arc.text for arc in arcs]
+    if arcs:
+        text = f"({text}) * {inside[0]}" if len(arcs) == 1 else f"({text}) * max({', '.join(inside)})"
+    return BasisFunction(
+        "heading",
+        text,
+        (_part(np.cos, times, arcs), _part(np.sin, times, arcs)),
+        2,
+        within=lambda theta, moved: wave_of_heading(times, _driven(theta, moved, _BRIDGED * 360.0 / times)),
+        place=f"known from {' and '.join(arc.words for arc in arcs)} deg only" if arcs else "",
+    )
+
+
+def _part(function: Callable[[Array], Array], times: int, arcs: Sequence[_Arc]) -> Of:
+    def value(m: Motion) -> Array:
+        wave = function(times * m.theta)
+        return wave * np.any([np.cos(m.theta - arc.middle) > arc.least for arc in arcs], axis=0) if arcs else wave
+
+    return value
+
+
+def _driven(theta: Array, moved: Array, bridged_deg: float) -> list[_Arc]:
+    """Return the arcs of headings that were driven, joined across small gaps; none if that is a full turn.
+
+    theta, moved : (n,) headings, rad, and the amount of motion at each
+    bridged_deg : largest gap between headings of one arc
+    """
+    width = 360.0 / _BINS
+    bins = (np.degrees(theta) // width).astype(np.int64) % _BINS
+    part = np.bincount(bins, moved, _BINS)
+    driven = np.flatnonzero(part > _LEAST_SHARE * part.sum())
+    following = np.append(driven[1:], driven[:1] + _BINS)
+    last = np.flatnonzero((following - driven - 1) * width > bridged_deg)
+    first = following[np.roll(last, 1)]
+    half = 0.5 * np.radians(((driven[last] - first) % _BINS + 1) * width)
+    middle = (np.radians(first * width) + half + np.pi) % (2.0 * np.pi) - np.pi
+    return [_Arc(round(a, 3), round(b, 4)) for a, b in zip(middle.tolist(), np.cos(half).tolist(), strict=True)]
+
+
+# Of the motion: proportional, step, hinge, saturation, in one direction only, or at rest only.
+VALUES: dict[str, tuple[str, Of]] = {
+    "speed": ("abs(v)", lambda m: np.abs(m.v)),
+    "yaw_rate": ("abs(omega)", lambda m: np.abs(m.omega)),
+    "acceleration": ("a * sign(v)", lambda m: m.a * np.sign(m.v)),
+    "lateral_acceleration": ("abs(v * omega)", lambda m: np.abs(m.v * m.omega)),
+    "yaw_acceleration": ("alpha * sign(omega)", lambda m: m.alpha * np.sign(m.omega)),
+    "time": ("t", lambda m: m.t_s),
+    "distance": ("distance", lambda m: m.distance),
+    "sideways_speed": ("abs(vy)", lambda m: np.abs(m.vy)),
+}
+_SIDEWAYS = "sideways_speed"
+"""Regressor of robots that drive sideways; no other robot has it."""
+_SPEEDS = ("speed", "yaw_rate", _SIDEWAYS)
+"""Regressors with thresholds that lie between rest and the speeds that are usual."""
+_SIGNED = ("acceleration", "yaw_acceleration", "time")
+"""Regressors for which values below a threshold are as likely to have an error as values above."""
+_OF_WHEELS = ("speed", "acceleration", "time")
+"""Regressors with a separate value for each wheel; and time, because a load may change on one side."""
+_OF_A_BIAS = ("speed", "yaw_rate", "time")
+"""Regressors of a heading rate that also acts at rest, as a gyro bias does."""
+_LEAST = {"acceleration": 0.1, "yaw_acceleration": 0.2}
+"""Smallest thresholds, m/s^2 and rad/s^2: noise (of ticks) exceeds smaller ones."""
+_LEAST_S, _LEAST_SLIP_S, _WITHIN = 2.0, 6.0, 0.9
+"""Minimum time, s, beyond a threshold of a speed or in reverse; beyond one of an acceleration, because a few slips of
+some tenths of a second would fill less; and the largest threshold of a speed, as a fraction of the speed exceeded for
+the first of these: above a cruising speed is only odometry noise, which is also part of the error."""
+_HINGED = ("speed", "yaw_rate", "acceleration", "lateral_acceleration", _SIDEWAYS)  # regressors with hinges
+_STILL = 0.02
+"""Rates below which a robot is at rest, m/s and rad/s."""
+_CUTS, _TAIL = np.linspace(0.05, 0.95, 19), 0.05 * 2.0 ** (-0.5 * np.arange(1.0, 9.0))
+"""Quantiles at which thresholds are tried, and further ones as fractions of the data beyond: hard braking is rare."""
+
+
+def functions_of_motion(motions: Sequence[Motion], *, sideways: bool = False) -> Iterator[BasisFunction]:
+    """Yield every function of the motion to be tried on these motions; see `basis_functions`."""
+    for regressor, (text, value) in VALUES.items():
+        if regressor == _SIDEWAYS and not sideways:
+            continue
+        yield BasisFunction(regressor, f"k * {text}", (value,), reaches=_reaches(regressor, "one"))
+        if regressor not in ("distance", "time"):  # nearly the same; steps over time are in `time`
+            yield from thresholds(regressor, motions)
+        if regressor in _HINGED:
+            yield from _hinges(regressor, motions)
+    yield from _either_signs(motions)
+    yield from _saturations(motions)
+    for regressor, text, value, reaches, trials in _singles(motions, sideways=sideways):
+        yield BasisFunction(regressor, text, (value,), trials, reaches=reaches)
+
+
+_Single: TypeAlias = "tuple[str, str, Of, tuple[str, ...], int]"
+"""Regressor, text, function, targets and size of the family of a function without shape."""
+
+
+def _singles(motions: Sequence[Motion], *, sideways: bool) -> Iterator[_Single]:
+    """Yield functions without a shape that is searched.
+
+    Reverse is tested only if the robot drove in reverse: a wheel also runs backwards in turns on the spot.
+    """
+    speed, yaw_rate = VALUES["speed"], VALUES["yaw_rate"]
+    either = ("max(abs(v), abs(omega))", lambda m: np.maximum(np.abs(m.v), np.abs(m.omega)))
+    ways: list[tuple[str, str, Of]] = [("yaw_rate", "omega", lambda m: m.omega), ("speed", "v", lambda m: m.v)]
+    # g-sensitive gyro
+    yield "acceleration", "k * a", lambda m: m.a, ("bias",), 1
+    # gains of turns that change sign with the direction of travel, and of travel with that of turns, proportional to
+    # the centripetal acceleration: an off-centre load, or a wheel that scrubs on one side
+    yield "speed", "k * v", lambda m: m.v, ("turning",), 1
+    yield "yaw_rate", "k * omega", lambda m: m.omega, ("travel",), 1
+    if sideways:
+        ways.append((_SIDEWAYS, "vy", lambda m: m.vy))
+        yield _SIDEWAYS, "k * vy", lambda m: m.vy, ("turning",), 1
+        yield "yaw_rate", "k * abs(omega)", lambda m: np.abs(m.omega), ("sideways",), 1
+        yield _SIDEWAYS, "k", lambda m: np.ones(len(m)), ("sideways gain",), 1
+    # in one direction only
+    for regressor, name, value in ways:
+        if name == "omega" or np.concatenate([value(m) < -_STILL for m in motions]).mean() > _least_part(motions):
+            text = f"k * where({name} < {-_STILL:.4g}, 1, 0)"
+            yield regressor, text, _below(value, -_STILL), _reaches(regressor, "one", "both"), 1
+    # of one wheel that scrubs in turns to one side
+    yield "yaw_rate", "k * max(omega, 0)", lambda m: np.maximum(m.omega, 0.0), ("one",), 2
+    yield "yaw_rate", "k * max(-omega, 0)", lambda m: np.maximum(-m.omega, 0.0), ("one",), 2
+    # only while the robot is at rest, does not drive, or does not turn
+    for regressor, (name, value) in (("speed", speed), ("yaw_rate", yaw_rate), ("speed", either)):
+        yield regressor, f"k * where({name} < {_STILL:.4g}, 1, 0)", _below(value, _STILL), ("bias",), 1
+
+
+def _reaches(regressor: str, *wheels: str) -> tuple[str, ...]:
+    """Return the targets of functions of this regressor; `wheels` only if each wheel has a value of the regressor."""
+    both = ("twist",) if regressor == "time" else ()
+    return (
+        "body",
+        *both,
+        *(wheels if regressor in _OF_WHEELS else ()),
+        *(("bias",) if regressor in _OF_A_BIAS else ()),
+        *(("sideways",) if regressor == _SIDEWAYS else ()),
+    )
+
+
+def thresholds(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield steps at thresholds of a regressor, at quantiles of its values while the robot moved."""
+    ways = (True, False) if regressor in _SIGNED else (True,)
+    within = (-_latest(regressor, motions, -1.0) if len(ways) > 1 else 0.0, _latest(regressor, motions))
+    cuts = _cuts(regressor, motions)
+    cuts = cuts[(cuts >= within[0]) & (cuts <= within[1])]
+    for above, (i, cut) in product(ways, enumerate(cuts)):
+        gap = float(np.max(np.diff(cuts[max(i - 1, 0) : i + 2]), initial=0.0))
+        yield _threshold(regressor, len(cuts) * len(ways), (float(cut),), (0.5 * gap,), above=above, within=within)
+
+
+def _either_signs(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield steps of one wheel at thresholds of its acceleration's magnitude, as of a belt or a hub that slips.
+
+    They are a family of their own, so that one-sided thresholds do not pay for them.
+    """
+    wheels = [wheel for m in motions if m.track_m is not None for wheel in wheel_motions(m, m.track_m)]
+    if not wheels:
+        return
+    seen = np.concatenate([np.abs(m.a[np.abs(m.v) > _STILL]) for m in wheels])
+    levels = np.concatenate((_CUTS, 1.0 - _TAIL[_least_part(motions, _LEAST_SLIP_S) < _TAIL]))
+    cuts = np.quantile(seen, np.sort(levels)) if len(seen) else np.zeros(0)
+    cuts = np.unique(np.maximum(cuts, _LEAST["acceleration"]))
+    for i, cut in enumerate(cuts):
+        gap = float(np.max(np.diff(cuts[max(i - 1, 0) : i + 2]), initial=0.0))
+        yield _either_sign(len(cuts), (float(cut),), (0.5 * gap,))
+
+
+def _either_sign(trials: int, shape: tuple[float, ...], steps: tuple[float, ...]) -> BasisFunction:
+    cut = max(shape[0], _LEAST["acceleration"])
+    return BasisFunction(
+        "acceleration",
+        f"k * where(abs(a) > {cut:.4g}, 1, 0)",
+        (_above(lambda m: np.abs(m.a), cut),),
+        trials * REFINING,
+        form="step",
+        reaches=("one",),
+        shape=shape,
+        steps=steps,
+        with_shape=lambda moved: _either_sign(trials, moved, steps),
+    )
+
+
+def _cuts(regressor: str, motions: Sequence[Motion]) -> Array:
+    """Return quantiles of a regressor while the robot moved; for a speed also the limit of rest."""
+    value = VALUES[regressor][1]
+    of_speed = regressor in _SPEEDS
+    moves = [(np.abs(m.v) > _STILL) | (np.abs(m.omega) > _STILL) | (of_speed & (value(m) > _STILL)) for m in motions]
+    seen = np.concatenate([value(m)[moving] for m, moving in zip(motions, moves, strict=True)])
+    least_s = _LEAST_S if of_speed else _LEAST_SLIP_S
+    rare = _TAIL[_least_part(motions, least_s) < _TAIL] if regressor != "time" else _TAIL[:0]
+    levels = np.concatenate((rare if regressor in _SIGNED else rare[:0], _CUTS, 1.0 - rare))
+    cuts = np.quantile(seen, np.sort(levels)) if len(seen) else np.zeros(0)
+    return np.unique(np.append(cuts, _STILL) if of_speed else cuts)
+
+
+def _threshold(
+    regressor: str,
+    trials: int,
+    shape: tuple[float, ...],
+    steps: tuple[float, ...],
+    *,
+    above: bool,
+    within: tuple[float, float],
+) -> BasisFunction:
+    text, value = VALUES[regressor]
+    least = _LEAST.get(regressor, 0.0)
+    cut = float(np.clip(shape[0], *within))
+    cut = cut if abs(cut) >= least else float(np.copysign(least, shape[0]))
+    return BasisFunction(
+        regressor,
+        f"k * where({text} {'>' if above else '<'} {cut:.4g}, 1, 0)",
+        ((_above if above else _below)(value, cut),),
+        trials * REFINING,
+        form="step",
+        reaches=_reaches(regressor, "one", "both"),
+        shape=shape,
+        steps=steps,
+        with_shape=lambda moved: _threshold(regressor, trials, moved, steps, above=above, within=within),
+    )
+
+
+def _hinges(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield functions that grow linearly from a threshold, as of lost grip; for signed regressors on both sides."""
+    cuts = [cut for cut in _cuts(regressor, motions)[1::3] if cut > 0.0]
+    two_sided = regressor in _SIGNED
+    signs = (1.0, -1.0) if two_sided else (1.0,)
+    most = {sign: _latest(regressor, motions, sign) for sign in signs}
+    shapes = [(sign, float(cut)) for sign in signs for cut in (0.0, *cuts) if cut <= most[sign]]
+    for sign, cut in shapes:
+        if cut > 0.0 or two_sided:
+            step = 0.15 * max(cuts, default=1.0)
+            yield _hinge(regressor, len(shapes), (cut,), (step,), sign=sign, most=most[sign])
+
+
+def _latest(regressor: str, motions: Sequence[Motion], sign: float = 1.0) -> float:
+    """Return the largest threshold of a speed above which enough data and range are left.
+
+    Infinity for other regressors: an acceleration, for example, is near zero most of the time.
+    """
+    if regressor not in _SPEEDS:
+        return float("inf")
+    seen = np.concatenate([sign * VALUES[regressor][1](m) for m in motions])
+    return _WITHIN * max(float(np.quantile(seen, 1.0 - _least_part(motions))), 0.0) if len(seen) else 0.0
+
+
+def _least_part(motions: Sequence[Motion], least_s: float = _LEAST_S) -> float:
+    """Return a time, s, as a fraction of the recorded time, at most one."""
+    return min(least_s / max(sum(float(m.dt_s.sum()) for m in motions), 1e-9), 1.0)
+
+
+def _hinge(
+    regressor: str, trials: int, shape: tuple[float, ...], steps: tuple[float, ...], *, sign: float, most: float
+) -> BasisFunction:
+    text, value = VALUES[regressor]
+    cut = min(max(shape[0], 0.0), most)
+    return BasisFunction(
+        regressor,
+        f"k * max({text if sign > 0.0 else f'-{text}'} - {cut:.4g}, 0)",
+        (lambda m: np.maximum(sign * value(m) - cut, 0.0),),
+        trials * REFINING,
+        form="hinge",
+        reaches=_reaches(regressor, "one", "both"),
+        shape=shape,
+        steps=steps,
+        with_shape=lambda moved: _hinge(regressor, trials, moved, steps, sign=sign, most=most),
+    )
+
+
+def _saturations(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield saturations of a gyro: the part of the yaw rate above its measuring range."""
+    most = _latest("yaw_rate", motions)
+    cuts = [float(cut) for cut in _cuts("yaw_rate", motions)[1::3] if 0.0 < cut <= most]
+    for cut in cuts:
+        yield _saturation(len(cuts), (cut,), (0.15 * max(cuts),), most)
+
+
+def _saturation(trials: int, shape: tuple[float, ...], steps: tuple[float, ...], most: float) -> BasisFunction:
+    cut = min(max(shape[0], 0.0), most)
+    return BasisFunction(
+        "yaw_rate",
+        f"k * sign(omega) * max(abs(omega) - {cut:.4g}, 0)",
+        (lambda m: np.sign(m.omega) * np.maximum(np.abs(m.omega) - cut, 0.0),),
+        trials * REFINING,
+        reaches=("bias",),
+        shape=shape,
+        steps=steps,
+        with_shape=lambda moved: _saturation(trials, moved, steps, most),
+    )
+
+
+def _above(value: Of, cut: float) -> Of:
+    return lambda m: (value(m) > cut).astype(np.float64)
+
+
+def _below(value: Of, cut: float) -> Of:
+    return lambda m: (value(m) < cut).astype(np.float64)
+
+
+# Of the place: discs, rectangles and strips of floor, and iron that deflects a compass.
+_PLACES = 7  # grid lines along each axis
+_RADII_M = (0.8, 1.3, 2.0)  # radii of discs, m
+_OUTER = (0.03, 0.97)
+"""Quantiles of the path's coordinates between which places are tried."""
+_STRIPS = 12  # directions of strips over half a turn
+_STRIP_APART_M, _MOST_STRIPS = 0.8, 25  # spacing of parallel strips, m, and their largest number
+_THIN = 10
+"""One of this many poses is used to find where strips contain the path."""
+_HALF_WIDTHS_M = (0.4, 0.8)  # of strips, m
+_BOX_ANGLES = (0.0, np.pi / 6.0, np.pi / 3.0)  # of rectangles, rad
+
+
+def functions_of_place(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield every function of the place to be tried on these motions."""
+    xs, ys = (spread(np.concatenate([getattr(m, axis) for m in motions]), _OUTER, _PLACES) for axis in ("x", "y"))
+    for x, y, radius in product(xs, ys, _RADII_M):
+        yield _disc((float(x), float(y), radius))
+        yield _iron((float(x), float(y), 0.5 * radius))
+    yield from _strips(motions)
+
+
+def _disc(shape: tuple[float, ...]) -> BasisFunction:
+    x, y, radius = shape[0], shape[1], max(shape[2], 0.1)
+    return BasisFunction(
+        "position",
+        f"k * where(hypot(x {_less(x)}, y {_less(y)}) < {radius:.4g}, 1, 0)",
+        (lambda m: (np.hypot(m.x - x, m.y - y) < radius).astype(np.float64),),
+        2 * _PLACES**2 * len(_RADII_M) * REFINING**3,
+        reaches=("floor", "ground", "bias"),
+        shape=shape,
+        steps=(0.4, 0.4, 0.3),
+        with_shape=_disc,
+        place=f"within {radius:.2g} m of ({x:.1f}, {y:.1f})",
+        related=tuple(_box((angle, x, y, radius, radius)) for angle in _BOX_ANGLES),
+    )
+
+
+def _iron(shape: tuple[float, ...]) -> BasisFunction:
+    """Return the yaw error per travel of a compass near iron, with a deflection that is bell-shaped in the distance."""
+    x, y, reach = shape[0], shape[1], max(shape[2], 0.1)
+
+    def nearing(m: Motion) -> Array:
+        ahead = (x - m.x) * np.cos(m.theta) + (y - m.y) * np.sin(m.theta)
+        return ahead * np.exp(-((m.x - x) ** 2 + (m.y - y) ** 2) / (2.0 * reach**2))
+
+    right, up = f"(x {_less(x)})", f"(y {_less(y)})"
+    bell = f"exp(-({right}**2 + {up}**2) / {2.0 * reach**2:.4g})"
+    return BasisFunction(
+        "position",
+        f"k * -({right} * cos(theta) + {up} * sin(theta)) * {bell}",
+        (nearing,),
+        2 * _PLACES**2 * len(_RADII_M) * REFINING**3,
+        reaches=("heading",),
+        shape=(x, y, reach),
+        steps=(0.4, 0.4, 0.2),
+        with_shape=_iron,
+    )
+
+
+def _strips(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield strips across the visited area; each is turned, in a search, about the mean of the path inside it."""
+    x, y = (np.concatenate([getattr(m, axis)[::_THIN] for m in motions]) for axis in ("x", "y"))
+    for angle in np.pi * np.arange(_STRIPS) / _STRIPS:
+        c, s = _axis(float(angle))
+        place = c * x + s * y
+        low, high = np.quantile(place, _OUTER)
+        middles = np.linspace(low, high, int(np.clip((high - low) / _STRIP_APART_M, _PLACES, _MOST_STRIPS)))
+        for middle, half in product(middles, _HALF_WIDTHS_M):
+            inside = np.abs(place - middle) < half
+            if inside.any():
+                way = float(np.mean(c * y[inside] - s * x[inside]))
+                yield _strip((float(angle), float(c * middle - s * way), float(s * middle + c * way), half))
+
+
+def _strip(shape: tuple[float, ...]) -> BasisFunction:
+    """Return a strip from the angle of its normal, a point on its centre line, and half its width."""
+    angle, x, y, half = *shape[:3], max(shape[3], 0.05)
+    axis = _axis(angle)
+    return BasisFunction(
+        "position",
+        f"k * where(abs({_ahead(axis, x, y)}) < {half:.4g}, 1, 0)",
+        (_band(axis, x, y, half),),
+        2 * _STRIPS * _MOST_STRIPS * len(_HALF_WIDTHS_M) * REFINING**3,
+        reaches=("floor", "both", "ground"),
+        shape=(angle, x, y, half),
+        steps=(0.2, 0.4, 0.4, 0.2),
+        with_shape=_strip,
+        place=f"in a strip {2.0 * half:.2g} m wide through ({x:.1f}, {y:.1f})",
+    )
+
+
+def _box(shape: tuple[float, ...]) -> BasisFunction:
+    """Return a rectangle from the angle of its first axis, its centre, and half the length of each side."""
+    angle, x, y = shape[0], shape[1], shape[2]
+    half, side = max(shape[3], 0.1), max(shape[4], 0.1)
+    c, s = along = _axis(angle)
+    across = (-s, c)
+    return BasisFunction(
+        "position",
+        f"k * where(abs({_ahead(along, x, y)}) < {half:.4g}, 1, 0)"
+        f" * where(abs({_ahead(across, x, y)}) < {side:.4g}, 1, 0)",
+        (lambda m: _band(along, x, y, half)(m) * _band(across, x, y, side)(m),),
+        2 * _PLACES**2 * len(_RADII_M) * len(_BOX_ANGLES) * REFINING**5,
+        reaches=("floor", "both", "ground", "bias"),
+        shape=(angle, x, y, half, side),
+        steps=(0.2, 0.4, 0.4, 0.4, 0.4),
+        with_shape=_box,
+        place=f"in a rectangle of {2.0 * half:.2g} by {2.0 * side:.2g} m around ({x:.1f}, {y:.1f})",
+    )
+
+
+def rectangle_of(function: BasisFunction) -> tuple[float, float, float, float, float] | None:
+    """Return angle of the first axis, centre and half sides of a strip or rectangle, rad and m; None for others.
+
+    The second side of a strip is infinite.
+    """
+    if function.with_shape not in (_strip, _box):
+        return None
+    angle, x, y, half, *side = function.shape
+    return angle, x, y, half, side[0] if side else np.inf
+
+
+def _axis(angle: float) -> tuple[float, float]:
+    """Return the unit vector at an angle, rounded so that expressions contain no floating-point residue."""
+    c, s = np.round((np.cos(angle), np.sin(angle)), 6) + 0.0
+    return float(c), float(s)
+
+
+def _ahead(axis: tuple[float, float], x: float, y: float) -> str:
+    """Return the expression of the coordinate along an axis, relative to a place."""
+    (c, s), sign = axis, "-" if axis[1] < 0.0 else "+"
+    return f"{c:.4g} * (x {_less(x)}) {sign} {abs(s):.4g} * (y {_less(y)})"
+
+
+def _less(metres: float) -> str:
+    """Return the text that subtracts a length, to a millimetre: some maps have coordinates of 500 km."""
+    return f"{'-' if metres >= 0.0 else '+'} {round(abs(metres), 3):.10g}"
+
+
+def spread(values: Array, outer: tuple[float, float], count: int) -> Array:
+    """Return places (count,) along an axis between two quantiles of the values."""
+    low, high = np.quantile(values, outer)
+    return np.linspace(float(low), float(high), count)
+
+
+def _band(axis: tuple[float, float], x: float, y: float, half: float) -> Of:
+    c, s = axis
+    return lambda m: (np.abs(c * (m.x - x) + s * (m.y - y)) < half).astype(np.float64)
+
+
+# Of time: exponential settling; of one drive also steps, and spells between two moments.
+_SETTLE_S = (30.0, 80.0, 200.0)  # settling times on the grid, s
+_QUICKEST_S, _SLOWEST_S = 10.0, 1e4
+"""Least and largest settling time that is tried, s; faster settling leaves nothing to observe."""
+_SPELLS, _SPELL_PARTS = 10, (0.08, 0.16)
+"""Number of centres of a spell that are tried, and half its length as fractions of the whole time."""
+_ANYWHERE = ("body", "one", "both", "twist")  # targets of functions of time
+
+
+def functions_of_time(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield every function of time to be tried on these motions.
+
+    Exponential decays and rises are those of tyres, motors and sensors that warm up; errors from or between two
+    moments, of a load that was carried for a while, have no time in common in several drives.
+    """
+    for tau_s, rising in product(_SETTLE_S, (False, True)):
+        yield _settling((float(np.log(tau_s)),), rising=rising)
+    ends_s = sorted((float(m.t_s[0]), float(m.t_s[-1])) for m in motions)
+    if any(after[0] < before[1] for before, after in pairwise(ends_s)):
+        return
+    yield from thresholds("time", motions)
+    longest_s = max(float(np.ptp(m.t_s)) for m in motions)
+    for part, i in product(_SPELL_PARTS, range(_SPELLS)):
+        yield _spell((ends_s[0][0] + (i + 0.5) / _SPELLS * longest_s, part * longest_s), 0.25 * longest_s / _SPELLS)
+
+
+def _settling(shape: tuple[float, ...], *, rising: bool) -> BasisFunction:
+    tau_s = float(np.clip(np.exp(min(shape[0], 50.0)), _QUICKEST_S, _SLOWEST_S))
+    return BasisFunction(
+        "time",
+        f"k * (1 - exp(-t / {tau_s:.4g}))" if rising else f"k * exp(-t / {tau_s:.4g})",
+        (lambda m: float(rising) + (-1.0 if rising else 1.0) * np.exp(-m.t_s / tau_s),),
+        2 * len(_SETTLE_S) * REFINING,
+        reaches=(*_ANYWHERE, "bias"),
+        shape=shape,
+        steps=(0.5,),
+        with_shape=lambda moved: _settling(moved, rising=rising),
+    )
+
+
+def _spell(shape: tuple[float, ...], step_s: float) -> BasisFunction:
+    middle_s, half_s = shape[0], max(shape[1], 1.0)
+    return BasisFunction(
+        "time",
+        f"k * where(abs(t - {middle_s:.6g}) < {half_s:.6g}, 1, 0)",
+        (lambda m: (np.abs(m.t_s - middle_s) < half_s).astype(np.float64),),
+        len(_SPELL_PARTS) * _SPELLS * REFINING**2,
+        reaches=(*_ANYWHERE, "bias"),
+        shape=(middle_s, half_s),
+        steps=(2.0 * step_s, step_s),
+        with_shape=lambda moved: _spell(moved, step_s),
+    )
