@@ -18,7 +18,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, compose, rotate, wrap
 from odomcorrupt.simulation import simulate
 from odomcorrupt.simulation.faults import SIZES
-from odomcorrupt.study.design.identifiability import is_untestable
+from odomcorrupt.study.design.advise import is_untestable
 from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.validate.held_out import drop_unsupported_parts
 

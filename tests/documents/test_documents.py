@@ -45,9 +45,9 @@ from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.motion_model import Origin, parse_alpha
 from odomcorrupt.model.presets import PRESETS
 from odomcorrupt.scoring.gate import parse_rule
+from odomcorrupt.study.design.advise import FOUND
 from odomcorrupt.study.design.drives import ENOUGH_NATS
-from odomcorrupt.study.design.identifiability import FOUND
-from odomcorrupt.study.design.manoeuvres import MANOEUVRES
+from odomcorrupt.study.design.plan import MANOEUVRES
 from odomcorrupt.study.estimate import config
 from odomcorrupt.study.estimate.robust_errors import BLOCK_S
 from odomcorrupt.study.select.contribution import FAR_M

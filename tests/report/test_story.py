@@ -23,8 +23,7 @@ from odomcorrupt.report.plain import finite
 from odomcorrupt.report.plots.comparison import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.figure import rendered
 from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit, UntestableEffect
-from odomcorrupt.study.design.manoeuvres import MANOEUVRES, Limits
-from odomcorrupt.study.design.plan import plan_of
+from odomcorrupt.study.design.plan import MANOEUVRES, Limits, plan_of
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.drive_type import DriveType
 from odomcorrupt.study.io.clock import Clock

@@ -14,13 +14,10 @@ from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.report.findings import advice_sentences
 from odomcorrupt.simulation import Commands, read_commands, simulate
-from odomcorrupt.study.design.advise import advise
-from odomcorrupt.study.design.ambiguities import open_ambiguities
+from odomcorrupt.study.design.advise import advise, open_ambiguities, untried
 from odomcorrupt.study.design.drives import missing_excitations, most_useful
-from odomcorrupt.study.design.identifiability import untried
 from odomcorrupt.study.design.information import planned_field, recorded_field, separation
-from odomcorrupt.study.design.manoeuvres import MANOEUVRES, Limits
-from odomcorrupt.study.design.plan import STEP_S, plan_of
+from odomcorrupt.study.design.plan import MANOEUVRES, STEP_S, Limits, plan_of
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.drive_type import DriveType
 from odomcorrupt.study.estimate.gauss_newton import fit
@@ -223,7 +220,7 @@ def twin_hint(name, values, monkeypatch):
         alternatives=(),
         candidates=(SimpleNamespace(score=SimpleNamespace(effect=effect), fitted=None, refused=""),),
     )
-    monkeypatch.setattr("odomcorrupt.study.design.ambiguities._equivalents", lambda *_: [])
+    monkeypatch.setattr("odomcorrupt.study.design.advise._equivalents", lambda *_: [])
     choices = open_ambiguities(SimpleNamespace(learned=learned(effect)), look)
     return next(choice.hint for choice in choices if name in choice.names)
 
@@ -245,7 +242,7 @@ class Loose(registry()["wheel_scale"]):
 @pytest.mark.parametrize(("track_m", "said"), [(None, True), (0.4, False)])
 def test_a_track_is_asked_for_where_an_effect_cannot_be_tried_without(track_m, said, monkeypatch):
     both = {"loose": Loose, "backlash": registry()["backlash"]}
-    monkeypatch.setattr("odomcorrupt.study.design.identifiability.registry", lambda: both)
+    monkeypatch.setattr("odomcorrupt.study.design.advise.registry", lambda: both)
     why = {one.effect: one.why for one in untried(learned(track_m=track_m))}
     assert ("give --track where the robot has two" in why["loose"]) is said
     assert "--track" not in why["backlash"]

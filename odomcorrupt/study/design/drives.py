@@ -11,8 +11,7 @@ import numpy as np
 
 from odomcorrupt.geometry.motion import slopes
 from odomcorrupt.study.design.information import planned_field, recorded_field
-from odomcorrupt.study.design.manoeuvres import MANOEUVRES
-from odomcorrupt.study.design.plan import plan_of, safe_limits
+from odomcorrupt.study.design.plan import MANOEUVRES, plan_of, safe_limits
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
