@@ -21,8 +21,7 @@ from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.contribution import contributions
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.selection import learn
-from odomcorrupt.study.validate.compare import Comparison, compare, sequence_comparison
-from odomcorrupt.study.validate.evaluation_clocks import clocks_beside
+from odomcorrupt.study.validate.compare import Comparison, clocks_beside, compare, sequence_comparison
 from odomcorrupt.study.validate.held_out import drop_unsupported_parts, without_parts
 from odomcorrupt.study.validate.predictive_check import Reproduction, reproduction_of
 from odomcorrupt.study.validate.round_trip import RoundTrip, verified_model

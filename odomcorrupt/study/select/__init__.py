@@ -1,7 +1,7 @@
 """Model selection: the terms that a model lacks, found by their joint evidence on left-out data.
 
 In the order of the procedure: `selection` (rounds), `dictionary` (terms that compete, and their columns), `evidence`
-(sets of terms, by sums of matrices over folds). They use `screening` and `shape_search` (approximate gains of all terms
+(sets of terms, by sums of matrices over folds). They use `shape_search` (approximate gains of all terms
 and their best shapes), `periodic` (waves over the distance) and `random_effects` (correlated noise and outliers). The
 result is `result`, with tests of single effects (`score`, `candidates`), curves (`dependence`), probabilities
 (`confidence`), sizes (`contribution`) and differences between recordings (`heterogeneity`). Prior odds and thresholds,

@@ -25,8 +25,7 @@ from odomcorrupt.study.io.recording import ranks_of
 from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.evidence import FOLDS, Evidence
 from odomcorrupt.study.select.periodic import flat_spots
-from odomcorrupt.study.select.screening import CoarseDesign
-from odomcorrupt.study.select.shape_search import ShapeSearch
+from odomcorrupt.study.select.shape_search import CoarseDesign, ShapeSearch
 from odomcorrupt.study.terms.basis import rectangle_of
 from odomcorrupt.study.terms.library import library_families
 from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm

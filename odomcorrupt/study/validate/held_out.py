@@ -19,8 +19,8 @@ from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.estimate.windows import drift_of, ten_second_error
 from odomcorrupt.study.io.clock import aligned
 from odomcorrupt.study.io.recording import shared_frame
+from odomcorrupt.study.validate.compare import clocks_beside
 from odomcorrupt.study.validate.evaluation import block_differences, evaluate_stretch
-from odomcorrupt.study.validate.evaluation_clocks import clocks_beside
 
 if TYPE_CHECKING:
     from collections.abc import Container, Mapping, Sequence
