@@ -191,8 +191,11 @@ def _aligned(odometry: Samples, truth: Samples) -> _Aligned | None:
     if len(picked) < _FEW:
         return None
     t_s, real_xyt, own_xyt = real_s[picked], real.xyt[picked], path.at(real_s[picked], origin)
-    off = _off(own_xyt, real_xyt)
-    off[:, :2] = rotate(off[:, :2], -real_xyt[:, 2])
+    # after alignment of the whole path
+    turn = float(np.angle(np.mean(np.exp(1j * (real_xyt[:, 2] - own_xyt[:, 2])))))
+    xy = rotate(own_xyt[:, :2], np.full(len(own_xyt), turn)) - real_xyt[:, :2]
+    yaw = np.unwrap(wrap(own_xyt[:, 2] + turn - real_xyt[:, 2]))
+    off = np.column_stack((rotate(xy - xy.mean(axis=0), -real_xyt[:, 2]), yaw - np.mean(yaw)))
     return _Aligned(t_s, real_xyt, own_xyt, off, np.flatnonzero(np.diff(t_s) < 3.0 * _STEP_S))
 
 
@@ -217,15 +220,6 @@ def _after_reversals(odometry: Samples, at: _Aligned) -> NDArray[np.bool_]:
     inside = np.any([crossed(one, AT_REST, way_m)[0] != 0.0 for one, way_m in moved], axis=0)
     so_far = np.concatenate(([0.0], np.cumsum(inside)))
     return np.diff(np.interp(at.t_s, path.seconds_since(int(odometry.stamps_ns[0])), so_far)) > 0.0
-
-
-def _off(own_xyt: Array, real_xyt: Array) -> Array:
-    """Return the error (n, 3) of odometry against the truth after alignment of the whole path, in the truth's frame."""
-    turn = float(np.angle(np.mean(np.exp(1j * (real_xyt[:, 2] - own_xyt[:, 2])))))
-    laid = rotate(own_xyt[:, :2], np.full(len(own_xyt), turn))
-    xy = laid - real_xyt[:, :2]
-    yaw = wrap(own_xyt[:, 2] + turn - real_xyt[:, 2])
-    return np.column_stack((xy - xy.mean(axis=0), np.unwrap(yaw) - np.mean(np.unwrap(yaw))))
 
 
 class _Fading(NamedTuple):

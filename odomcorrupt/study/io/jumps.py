@@ -74,7 +74,8 @@ def reach_of(odometry: Samples, path: Samples) -> Reach:
     dt = t_s[k:] - t_s[:-k]
     gone = np.linalg.norm(odometry.xyz[k:, :2] - odometry.xyz[:-k, :2], axis=1) / dt
     turned = np.abs(wrap(odometry.yaw_rad[k:] - odometry.yaw_rad[:-k])) / dt if odometry.headed else np.zeros(1)
-    top = np.array([_top(gone), _top(turned)])
+    # 95th percentiles of the speeds while moving
+    top = np.array([np.percentile(s[s > 1e-3], 95.0) if (s > 1e-3).any() else 0.0 for s in (gone, turned)])
     lever = np.array([0.0 if path is odometry else _LEVER_M * top[1], 0.0])
     return Reach(
         rate=_MARGIN * top + lever,
@@ -138,12 +139,6 @@ def _spike_at(piece_xyt: Array, other_xyt: Array) -> int:
     away = _apart(piece_xyt[: LONGEST + 1], other_xyt)[:, 0]
     back = np.flatnonzero(away[1:] < _MAX_LEFT * away[0])
     return int(back[0]) + 1 if len(back) else 0
-
-
-def _top(speeds: Array) -> float:
-    """Return the 95th percentile of the speeds while moving."""
-    moving = speeds[speeds > 1e-3]
-    return float(np.percentile(moving, 95.0)) if len(moving) else 0.0
 
 
 def _noise(path: Samples, part: float) -> Array:

@@ -27,6 +27,7 @@ from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.first_look import mistakes_alone
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.raw_trajectory import FEWEST, Samples, in_order
+from odomcorrupt.study.io.segments import MIN_PART_S
 from odomcorrupt.study.io.topic_selection import has_truth
 
 if TYPE_CHECKING:
@@ -41,7 +42,6 @@ SCALE_ACCURACY = 0.003
 """Default standard deviation of a laser's scale error: 0.3 %."""
 NO_SCAN = "none"
 """Value in place of a topic that switches the laser off."""
-_LEAST_PART_S = 15.0
 _WEAK_SAID = 0.1
 _LAG_SAID_S = 0.02
 _BLIND = 0.9
@@ -75,7 +75,8 @@ def laser_run(
     RecordingError
         If the scans do not give a trajectory; the message has the reason.
     """
-    return match_run(*beside_sweeps(_odometry(path, place, odom), path, place, scan), progress)
+    odometry = read_bag(path, place, {"odometry": odom})["odometry"]
+    return match_run(*beside_sweeps(odometry, path, place, scan), progress)
 
 
 def end_seen(path: Path, place: str, odom: str | None, scan: str) -> Array:
@@ -88,12 +89,9 @@ def end_seen(path: Path, place: str, odom: str | None, scan: str) -> Array:
     RecordingError
         If the last scans do not match the first.
     """
-    odometry, sweeps = beside_sweeps(_odometry(path, place, odom), path, place, scan)
+    odometry = read_bag(path, place, {"odometry": odom})["odometry"]
+    odometry, sweeps = beside_sweeps(odometry, path, place, scan)
     return end_by_scans(sweeps, without_outliers(odometry).trajectory()).pose
-
-
-def _odometry(path: Path, place: str, odom: str | None) -> Samples:
-    return read_bag(path, place, {"odometry": odom})["odometry"]
 
 
 def beside_sweeps(odometry: Samples, path: Path, place: str, scan: str | None) -> tuple[Samples, Sweeps]:
@@ -153,14 +151,14 @@ def truth_of(run: LaserRun) -> list[Samples]:
     found = []
     for part in np.unique(path.part):
         own = np.flatnonzero(path.part == part)
-        if float(path.t_s[own[-1]] - path.t_s[own[0]]) < _LEAST_PART_S:
+        if float(path.t_s[own[-1]] - path.t_s[own[0]]) < MIN_PART_S:
             continue
         logs, covariance = sweeps.log_ns[path.row[own]], path.covariance[own]
         one = Samples.planar(sweeps.place, sweeps.topic, stamps[own], path.xyt[own], log_ns=logs, covariance=covariance)
         found.append(one)
     if not found:
         raise RecordingError(
-            f"{sweeps.place}: no part of the map lasts {_LEAST_PART_S:g} s ({'; '.join(notes)}); drive slower, or name "
+            f"{sweeps.place}: no part of the map lasts {MIN_PART_S:g} s ({'; '.join(notes)}); drive slower, or name "
             "another topic with --scan"
         )
     lost = int(np.count_nonzero(run.tracked.keyframe < 0))

@@ -52,7 +52,7 @@ _UNEVEN = 0.3
 """Spread (10 to 90 %) of the times between corrections over their median; updates by travel or turn exceed it."""
 _BASES = frozenset({"base_link", "base_footprint"})
 """REP 105 and 120: a point of the robot, and its projection to the floor."""
-_SAME, _MOVES = 1e-6, 1e-4
+_SAME, MOVES = 1e-6, 1e-4
 """Metres and radians: the difference of equal steps, and the motion of a robot at rest, are smaller."""
 _MIN_CORRECTION = 5e-4
 """Least median correction, metres or radians; smaller ones are a simulator's rounding or the odometry itself."""
@@ -86,7 +86,7 @@ def corrections_alone(odometry: Samples, truth: Samples) -> Samples:
         apart[:, 2] = wrap(apart[:, 2])
         size = np.abs(apart).max(axis=1)
         repeats = size < _SAME
-        moving = (np.abs(own) > _MOVES).any(axis=1)
+        moving = (np.abs(own) > MOVES).any(axis=1)
         new = ~repeats & moving
         if np.sum(repeats & moving) < REPEATED * np.sum(moving) or np.sum(new) < CORRECTIONS:
             continue

@@ -19,7 +19,7 @@ from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
 from odomcorrupt.input_files import open_input
 from odomcorrupt.laser.calibrate import hand_eye
 from odomcorrupt.study.io.raw_trajectory import FEWEST, Samples
-from odomcorrupt.study.io.segments import MIN_HEADED_S
+from odomcorrupt.study.io.segments import MIN_HEADED_S, MIN_PART_S
 from odomcorrupt.study.io.text import guess_tick, read_lines, split_line, whole_rows
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ _MAX_LINES = 5_000_000
 _JOINED = 0.02
 """Motions join if the time between them is at most this fraction of the shorter one."""
 _TURNED_RAD = np.radians(15.0)  # smaller mounting yaws are left to the fit
-_MIN_S = 15.0  # shortest chain
 _GROSS, _UNKNOWN_M2 = 10.0, 100.0  # a failed match: ratio to the median difference, and the variance it then gets
 
 
@@ -120,8 +119,8 @@ def chains_of(motions: Motions, odometry: Samples) -> list[Samples]:
     if not lasting:
         longest = max((float(motions.end_ns[c[-1]] - motions.start_ns[c[0]]) * 1e-9 for c in chains), default=0.0)
         raise RecordingError(
-            f"{motions.place}: motions join end to end for {longest:.1f} s at most, {_MIN_S:g} s are needed: the end "
-            "of each is to be the start of the next"
+            f"{motions.place}: motions join end to end for {longest:.1f} s at most, {MIN_PART_S:g} s are needed: the "
+            "end of each is to be the start of the next"
         )
     used = sum(len(c) for c in lasting)
     if used < len(motions.start_ns):
@@ -150,7 +149,7 @@ def _chain(motions: Motions, rows: NDArray[np.int64]) -> Samples:
 def _lasting(motions: Motions, chains: Sequence[list[int]]) -> list[list[int]]:
     """Return the chains of at least 15 s; if there are longer ones, only those with enough intervals for two halves."""
     span_s = [float(motions.end_ns[c[-1]] - motions.start_ns[c[0]]) * 1e-9 for c in chains]
-    least_s = MIN_HEADED_S if max(span_s, default=0.0) >= MIN_HEADED_S else _MIN_S
+    least_s = MIN_HEADED_S if max(span_s, default=0.0) >= MIN_HEADED_S else MIN_PART_S
     return [chain for chain, own_s in zip(chains, span_s, strict=True) if own_s >= least_s]
 
 

@@ -29,6 +29,7 @@ _APART_M, _APART, _APART_RAD = 0.5, 0.2, 0.5
 """Difference of the displacements across a gap, m and as a part of the larger one, or of the turns, rad, that shows
 that the odometry was not integrated there: more than wrong wheels and late stamps cause."""
 _MIN_SPEED = np.array([0.02, 0.05])  # m/s and rad/s; a faster robot should change the truth
+MIN_PART_S = 15.0  # shortest part of a truth whose parts have frames of their own: of a laser, or of relative motions
 MIN_HEADED_S, _MIN_UNHEADED_S = 25.0, 50.0
 """Shortest stretches, with and without headings, with enough intervals for two halves; used if longer ones exist."""
 

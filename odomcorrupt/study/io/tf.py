@@ -20,7 +20,7 @@ from odomcorrupt.bags.open import open_reader
 from odomcorrupt.corruption.odometry_source import plain
 from odomcorrupt.corruption.pose_faults import W_FIRST, ComponentOrder
 from odomcorrupt.errors import RecordingError, TopicError
-from odomcorrupt.study.io.localisation import CORRECTIONS, REPEATED, SPARSE_HZ, ahead_s
+from odomcorrupt.study.io.localisation import CORRECTIONS, MOVES, REPEATED, SPARSE_HZ, ahead_s
 from odomcorrupt.study.io.raw_trajectory import FAR_M, Samples, order_of
 from odomcorrupt.study.io.se3 import Transforms, composed, headings, interpolated, inverted, unit
 from odomcorrupt.study.io.topic_selection import EDGES, near
@@ -90,8 +90,6 @@ def _way(edges: set[Edge], address: Address, place: str) -> _Way:
     return way[::-1]
 
 
-_MOVES = np.array([1e-4, 1e-4])
-"""Metres, radians: if the other edges move by more, a repeated correction means that there was no new one."""
 _SLOWER = 5.0
 """A localisation that sends only its corrections is slower than the odometry by at least this factor."""
 _AHEAD_S = (0.02, 5.0)
@@ -226,7 +224,8 @@ def _localisation(moving: Mapping[Edge, _Ordered]) -> tuple[Edge, _Ordered] | No
             there = other.between(own.stamps_ns)
             went[:, 0] += np.linalg.norm(np.diff(there.xyz, axis=0), axis=1)
             went[:, 1] += (there.rotation[:-1].inv() * there.rotation[1:]).magnitude()
-        moves = (went > _MOVES).any(axis=1)
+        # if the other edges move, a repeated correction means that there was no new one
+        moves = (went > MOVES).any(axis=1)
         if not seldom and (np.mean(~new[moves]) < REPEATED if moves.any() else True):
             continue
         rows = np.flatnonzero(np.concatenate(([True], new)))
