@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.returns import ReturnsFit
-    from odomcorrupt.study.select.candidates import Candidate
-    from odomcorrupt.study.select.dependence import Dependence
+    from odomcorrupt.study.select.candidates import Candidate, Dependence
     from odomcorrupt.study.select.heterogeneity import ParameterDifference
     from odomcorrupt.study.select.result import Learned, Step
     from odomcorrupt.study.validate.compare import ModelEvaluation

@@ -27,10 +27,10 @@ from odomcorrupt.study.design.plan import MANOEUVRES, Limits, plan_of
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.drive_type import DriveType
 from odomcorrupt.study.io.clock import Clock
-from odomcorrupt.study.select.dependence import Dependence
+from odomcorrupt.study.select.candidates import Dependence
+from odomcorrupt.study.select.evidence import Score
 from odomcorrupt.study.select.random_effects import DetectedRandomEffect
 from odomcorrupt.study.select.result import Learned
-from odomcorrupt.study.select.score import Score
 from odomcorrupt.study.terms.basis import BasisFunction
 from odomcorrupt.study.terms.channels import Action
 from odomcorrupt.study.terms.term import BasisTerm

@@ -7,9 +7,8 @@ from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.windows import joint_rmse, time_windows
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.recording import Recording
-from odomcorrupt.study.select.candidates import score_terms, tested_candidates
+from odomcorrupt.study.select.candidates import dependence_of, score_terms, tested_candidates
 from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.dependence import dependence_of
 from odomcorrupt.study.select.dictionary import Dictionary
 
 

@@ -25,7 +25,7 @@ from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.random_effects import random_coefficients
 from odomcorrupt.study.select.screening import CoarseDesign
 from odomcorrupt.study.select.selection import learn
-from odomcorrupt.study.terms.library import library_families
+from odomcorrupt.study.terms.term import library_families
 
 OFFSET_RAD, BAND_MPS, SAG_PER_S, LIMIT_MPS, PLAY_M, TICK_MPS = 0.02, 0.03, 2.5e-4, 0.2, 0.008, 0.03
 QUIET = Coefficients(0.006, 0.006, 0.004, 0.002)

@@ -29,7 +29,7 @@ from odomcorrupt.study.io.reader import recordings_of
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.random_effects import random_coefficients
 from odomcorrupt.study.select.selection import learn
-from odomcorrupt.study.terms.library import library_families
+from odomcorrupt.study.terms.term import library_families
 from odomcorrupt.study.validate.calibration import HORIZONS_M
 from odomcorrupt.study.validate.evaluation import evaluate_stretch, horizons_of
 from odomcorrupt.study.validate.goodness_of_fit import verdict_of

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.select.dependence import Dependence
+    from odomcorrupt.study.select.candidates import Dependence
     from odomcorrupt.study.select.result import Learned, Step
     from odomcorrupt.study.validate.compare import Comparison, ModelEvaluation
     from odomcorrupt.study.validate.evaluation import Evaluation

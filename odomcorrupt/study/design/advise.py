@@ -171,18 +171,8 @@ def untried(learned: Learned) -> list[UntestableEffect]:
     return found
 
 
-def limits(step: Step) -> list[DetectionLimit]:
-    """Return the detection limits of all testable effects."""
-    return [
-        DetectionLimit(c.name, p.name, FOUND * float(error), p.unit)
-        for c in step.candidates
-        if not is_untestable(c)
-        for p, error in zip(amplitudes(c.score.effect), c.score.standard_error, strict=True)
-    ]
-
-
-TOO_FEW_NATS = 3.0
-"""If ten minutes of the best drive yield less, nats, no drive is recommended."""
+TOO_FEW_NATS = DECISIONS.alternative_nats
+"""If ten minutes of the best drive yield less, nats, they do not separate the effects, and no drive is recommended."""
 
 _LOSSES_HINT = "ticks are too coarse to show a lost increment; publish odometry less often, several ticks an increment"
 """Way to separate a larger wheel from lost increments if an increment is only a tick or two."""
@@ -403,4 +393,10 @@ def advise(learned: Learned) -> Advice:
     shown = [one.shows for one in unseen if one.shows is not None]
     unseen += untried(learned)
     best = most_useful(drives, gains, shown) if gains or shown else None
-    return Advice(tuple(choices), tuple(unseen), tuple(limits(last)), best)
+    limits = [
+        DetectionLimit(c.name, p.name, FOUND * float(error), p.unit)
+        for c in last.candidates
+        if not is_untestable(c)
+        for p, error in zip(amplitudes(c.score.effect), c.score.standard_error, strict=True)
+    ]
+    return Advice(tuple(choices), tuple(unseen), tuple(limits), best)

@@ -92,7 +92,8 @@ class Drives:
 
     def __post_init__(self) -> None:
         self.recorded = recorded_field(self.learned.fit)
-        self.with_clocks = replace(self.recorded, clocks=self.recorded.problem.clock_columns())
+        clocks = self.recorded.whitener.whiten(self.recorded.problem.clock_columns())
+        self.with_clocks = replace(self.recorded, clocks=clocks)
 
     def planned(self, name: str, duration_s: float) -> tuple[Plan, Field]:
         """Return a manoeuvre planned within this robot's limits."""

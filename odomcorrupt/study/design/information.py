@@ -37,36 +37,30 @@ _MIN_NORM = 1e-4
 class Field:
     """A recorded or planned drive, with the whitener of its residuals.
 
-    clocks : (K, 3, c) columns of its clock's free parameters
+    clocks : (3 K, c) whitened columns of its clock's free parameters
     """
 
     problem: Problem
     whitener: Whitener
     clocks: Array
-    _known: dict[Effect | None, Array] = field(init=False, default_factory=dict, repr=False)
-    """Cache of whitened columns by effect, because few are used again and again; None: the clock's."""
+    _known: dict[Effect, Array] = field(init=False, default_factory=dict, repr=False)
+    """Cache of whitened columns by effect, because few are used again and again."""
 
     def white(self, effects: Sequence[Effect]) -> Array:
         """Return whitened columns (3 K, p) of the amplitudes of several effects."""
-        parts = [self._white(effect) for effect in effects if amplitudes(effect)]
-        return np.concatenate([np.zeros((3 * len(self.problem.intervals), 0)), *parts], axis=1)
-
-    def white_clocks(self) -> Array:
-        """Return whitened columns (3 K, c) of the drive's clock."""
-        return self._white(None)
-
-    def _white(self, effect: Effect | None) -> Array:
-        if effect not in self._known:
-            columns = self.clocks if effect is None else self.problem.columns(effect)
-            empty = np.zeros((3 * len(self.problem.intervals), 0))
-            self._known[effect] = self.whitener.whiten(columns) if columns.shape[2] else empty
-        return self._known[effect]
+        parts = [np.zeros((3 * len(self.problem.intervals), 0))]
+        for effect in (one for one in effects if amplitudes(one)):
+            if effect not in self._known:
+                self._known[effect] = self.whitener.whiten(self.problem.columns(effect))
+            parts.append(self._known[effect])
+        return np.concatenate(parts, axis=1)
 
 
 def recorded_field(fit: Fit) -> Field:
     """Return the fitted drives as one field: their problem, whitener, and columns of the free clocks."""
-    own = sum(len(amplitudes(e)) for e in fit.problem.effects)
-    return Field(fit.problem, fit.noise.whitener, fit.design_matrix[:, :, own:])
+    own, white = sum(len(amplitudes(e)) for e in fit.problem.effects), fit.noise.whitener
+    clocks = fit.design_matrix[:, :, own:]
+    return Field(fit.problem, white, white.whiten(clocks) if clocks.size else np.zeros((3 * len(clocks), 0)))
 
 
 def planned_field(fit: Fit, plan: Plan) -> Field:
@@ -76,7 +70,8 @@ def planned_field(fit: Fit, plan: Plan) -> Field:
     q = problem.intervals.covariance(fit.problem.approach.law, fit.noise.coefficients, problem.steps)
     clocks = problem.clock_columns()
     noise = replace(fit.noise, whitener=whitener(problem.intervals, q, truth))
-    return Field(problem, with_random(noise, problem, clocks, fit.random).whitener, clocks)
+    white = with_random(noise, problem, clocks, fit.random).whitener
+    return Field(problem, white, white.whiten(clocks))
 
 
 def separation(
@@ -111,9 +106,9 @@ def clock_errors(beside: Sequence[Effect], drive: Field, *others: Field) -> Arra
     beside : effects that are free, and also determined by the `others`
     """
     fields = [drive, *others]
-    known = [field.white_clocks() * (field is not drive) for field in fields]
+    known = [field.clocks * (field is not drive) for field in fields]
     _, rest = _stacked((), beside, fields, known)
-    pairs = drive.white_clocks()
+    pairs = drive.clocks
     signal = np.zeros((len(rest), pairs.shape[1]))
     signal[: len(pairs)] = pairs
     left = _without(rest, signal)
@@ -131,7 +126,7 @@ def _stacked(
     own: Sequence[Effect], beside: Sequence[Effect], fields: Sequence[Field], clocks: Sequence[Array] | None = None
 ) -> tuple[Array, Array]:
     """Return columns of `own` and of all other parameters: drives stacked, clocks block-diagonal."""
-    clocks = [field.white_clocks() for field in fields] if clocks is None else clocks
+    clocks = [field.clocks for field in fields] if clocks is None else clocks
     height = sum(len(c) for c in clocks)
     apart = np.zeros((height, sum(c.shape[1] for c in clocks)))
     row = column = 0

@@ -104,7 +104,7 @@ def _edge(likelihood: NoiseLikelihood, start: Array, position: int, direction: f
     free, best = start.copy(), float(start[position])
     inside, inside_drop = max(best, np.log(1e-4)) if direction > 0 else best, 0.0
     step = 0.1
-    while True:
+    while True:  # to a bound of the coefficient at most
         outside = inside + direction * step
         if outside <= np.log(LOWEST):
             return 0.0

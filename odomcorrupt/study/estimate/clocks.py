@@ -43,7 +43,7 @@ _NUISANCE = ("wheel_scale", "wheelbase", "unequal_wheels", *MOUNTING)
 RIVALS = ("accel_slip", "backlash", "channel_lag")
 """Effects that resemble a clock offset at starts and stops."""
 _FEWEST_ALIKE = 3
-"""Fewest clocks whose mean may be that of a recording that cannot tell its own."""
+"""Fewest clocks whose mean, if significant beside their scatter, is that of a recording that cannot tell its own."""
 _SCAN_CLOCK_S = 0.1
 """Expected offset between the stamps of scans and of odometry, seconds: 0.09 to 0.17 s on four real robots."""
 _KNOWN_S, _PULLED_S = 0.002, 0.02
@@ -125,7 +125,11 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach, beside: Seq
     if not found:
         raise refused[0]
     longest = max(found.values(), key=lambda own: len(own.fit.problem.intervals))
-    clock = _common_clock([*found.values()])
+    offsets_s = np.array([own.clock.offset_s for own in found.values() if own.free[0]])
+    clock = Clock()
+    if len(offsets_s) >= _FEWEST_ALIKE:
+        mean_s, error_s = float(offsets_s.mean()), float(offsets_s.std(ddof=1) / np.sqrt(len(offsets_s)))
+        clock = Clock(mean_s) if abs(mean_s) > _CLOCK_LIMIT * error_s else clock
     common = replace(longest, clock=clock, free=(False, False), errors=(0.0, 0.0))
     each = [found.get(leader, common) for leader in leaders]
     errors = with_rounding([f.errors for f in each], [f.free for f in each], recordings)
@@ -143,15 +147,6 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach, beside: Seq
         ranges_s=tuple((offset_s - _RANGE * error_s, offset_s + _RANGE * error_s) for offset_s, error_s in offsets),
         held=tuple(r.name for r, own in zip(recordings, each, strict=True) if own is common),
     )
-
-
-def _common_clock(found: Sequence[_Found]) -> Clock:
-    """Return the mean offset of clocks if it is significant beside their scatter, else zero."""
-    offsets = np.array([own.clock.offset_s for own in found if own.free[0]])
-    if len(offsets) < _FEWEST_ALIKE:
-        return Clock()
-    mean, error = float(offsets.mean()), float(offsets.std(ddof=1) / np.sqrt(len(offsets)))
-    return Clock(mean) if abs(mean) > _CLOCK_LIMIT * error else Clock()
 
 
 def most_likely_clocks(recordings: Sequence[Recording], clocks: Clocks, approach: Approach) -> tuple[Clock, ...]:

@@ -105,7 +105,6 @@ steering angle exceeds the quantile briefly). The share was a tenth for a robot 
 never turned on the spot), and a third or more for steered ones."""
 _SPOT_RAD = 0.1
 """Largest turn per slow spell beyond the smallest radius that filters and ticks can cause, rad."""
-_REST_S = 2.0  # least time at rest that shows whether the odometry turns at rest, s
 _GYRO_RAD = 1e-4
 """Turn at rest above which the heading of the odometry is not computed from its wheels, rad."""
 
@@ -192,7 +191,7 @@ def _stated_or_guessed(recordings: Sequence[Recording]) -> DriveType:
         return DriveType("differential")
     if not enough or not _has_stop(np.concatenate([s.slow for s in slow], axis=1)):
         return DriveType("differential", least_radius_m=radius_m)
-    gyro = turns_at_rest or total("rest_s") < _REST_S
+    gyro = turns_at_rest or total("rest_s") < _RESTS_S
     why = f"steers up to a stop, never turned on the spot; smallest radius {radius_m:.1f} m"
     return DriveType("car", why, gyro=gyro)
 

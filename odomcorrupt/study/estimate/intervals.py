@@ -11,7 +11,7 @@ Nodes are the same samples for all models and clocks.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -137,19 +137,15 @@ class Intervals:
         # a turn spread over the step moves its end as much as a turn at the step's middle
         for variance, lever in ((v.rot1, self.lever if law.arc else self.lever0), (v.rot2, self.lever1)):
             if variance.any():
-                self._add_outer(total, self._of_steps(variance), -lever[:, 1], lever[:, 0], turns=True)
+                self._add_outer(total, variance[self.source] * self.share, -lever[:, 1], lever[:, 0], turns=True)
         axis = self.axis
         if law.along_travel:
             axis = rotate(axis, np.arctan2(steps.dl_m, steps.ds_m)[self.source])
-        if v.trans.any():
-            self._add_outer(total, self._of_steps(v.trans), axis[:, 0], axis[:, 1])
-        if v.across.any():
-            self._add_outer(total, self._of_steps(v.across), -axis[:, 1], axis[:, 0])
+        ahead, left = axis.T
+        for variance, x, y in ((v.trans, ahead, left), (v.across, -left, ahead)):
+            if variance.any():
+                self._add_outer(total, variance[self.source] * self.share, x, y)
         return np.ascontiguousarray(np.moveaxis(total, 2, 0))
-
-    def _of_steps(self, variance: Array) -> Array:
-        """Return the variance (n,) of each step from those (n0,) of the odometry's increments."""
-        return variance[self.source] * self.share
 
     def _add_outer(self, total: Array, w: Array, x: Array, y: Array, *, turns: bool = False) -> None:
         """Add to `total` (3, 3, K) the covariance of noise of variance (n,) on each step along (x, y, turns)."""
@@ -199,6 +195,12 @@ def intervals_between(
     odometry_step = between(cut.xyt[cut.at_node[kept]], ends_at)
     gone = end - start
     way_m = np.add.reduceat(np.hypot(gone[:, 0], gone[:, 1]) + TURN_M * np.abs(gone[:, 2]), first)
+    shape, unseen = (part[picked] for part in _noise_shape(truth.covariance, len(truth)))
+    in_position, in_heading = recording.truth_level
+    level = np.array([in_position, in_position, in_heading])
+    shape = shape * np.outer(level, level)
+    # errors of relative motions add up over an interval
+    motions = np.diff(picked)[kept][:, None, None] if truth.relative else 1.0
     return Intervals(
         start_s=node_s[kept],
         end_s=node_s[kept + 1],
@@ -216,28 +218,14 @@ def intervals_between(
         lever1=lever1,
         way_m=way_m,
         memory=memory_over(way_m, recording.truth_correlation_m or 0.0),
-        **_truth_errors(recording, picked, kept),
+        linked=np.concatenate(([False], (np.diff(kept) == 1) & (not truth.relative))),
+        start_shape=shape[kept] * motions,
+        end_shape=shape[kept + 1] * motions,
+        start_unseen=unseen[kept],
+        end_unseen=unseen[kept + 1],
+        localised=np.full(len(kept), recording.localised),
+        random_walk_level=np.full(len(kept), in_position),
     )
-
-
-def _truth_errors(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.int64]) -> dict[str, Any]:
-    """Return what the truth says of its own errors at the ends of intervals: fields of `Intervals`."""
-    truth = recording.truth
-    shape, unseen = (part[picked] for part in _noise_shape(truth.covariance, len(truth)))
-    in_position, in_heading = recording.truth_level
-    level = np.array([in_position, in_position, in_heading])
-    shape = shape * np.outer(level, level)
-    # errors of relative motions add up over an interval
-    motions = np.diff(picked)[kept][:, None, None] if truth.relative else 1.0
-    return {
-        "linked": np.concatenate(([False], (np.diff(kept) == 1) & (not truth.relative))),
-        "start_shape": shape[kept] * motions,
-        "end_shape": shape[kept + 1] * motions,
-        "start_unseen": unseen[kept],
-        "end_unseen": unseen[kept + 1],
-        "localised": np.full(len(kept), recording.localised),
-        "random_walk_level": np.full(len(kept), in_position),
-    }
 
 
 def memory_over(way_m: Array, correlation_m: float) -> Array:

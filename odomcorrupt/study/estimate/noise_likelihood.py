@@ -119,7 +119,7 @@ as the reverse."""
 _NO_RANDOM_WALK = 2e-6
 _NATS, _PROFILE_NATS = 1e-4, 1e-3
 """Predicted gain of the next step, nats, below which the iteration ends; the second value is for profiles."""
-_DEAD, _FAINT = 1e-4, 1e-3
+DEAD, _FAINT = 1e-4, 1e-3
 """Coefficient below which the likelihood has no gradient, and the value from which such a coefficient is restarted."""
 _MOST_STEPS = 60
 _FAR, _NEAREST = 3.0, 1e-3
@@ -262,8 +262,8 @@ class NoiseLikelihood:
         """
         active = len(self._components.active)
         coefficients, truth = free[:active], free[active:]
-        lively = np.where(coefficients < np.log(_DEAD), np.log(_FAINT), coefficients)
-        return np.concatenate((lively, np.maximum(truth, np.log(_DEAD))))
+        lively = np.where(coefficients < np.log(DEAD), np.log(_FAINT), coefficients)
+        return np.concatenate((lively, np.maximum(truth, np.log(DEAD))))
 
     def derivatives(self, done: NoiseFit, movable: NDArray[np.int64]) -> tuple[Array, Array]:
         """Return slope (m,) and average information (m, m) of the log posterior in the movable parameters.

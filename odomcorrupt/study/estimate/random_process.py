@@ -15,7 +15,7 @@ from scipy.sparse import block_diag, csr_array, diags_array, hstack
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import stacked
-from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood, fit_noise, with_residual
+from odomcorrupt.study.estimate.noise_likelihood import DEAD, NoiseLikelihood, fit_noise, with_residual
 from odomcorrupt.study.estimate.truth_bias import SHARED, bias_roots, bias_steps, has_bias
 from odomcorrupt.study.estimate.whitener import KnotPosterior, band_factor, band_solve, sparse_band
 
@@ -44,8 +44,6 @@ _BREAK_S = 1e3
 _MOST_ROUNDS, _SETTLED = 8, 0.03
 """Largest number of draws of a process, and the change of a log coefficient at which they end: about as large as the
 scatter between draws."""
-_FAINT = 1e-4
-"""Noise below this is negligible; its logarithm is not tested for convergence."""
 _SEED = 20261121
 
 
@@ -135,7 +133,7 @@ def fit_noise_beside(
         rest = replace(intervals, residual=intervals.residual - _drawn(noise, problem, free, knots, normal))
         noise = fit_noise(rest, components, free, headings=headings, start=before, weights=weights, bursts=bursts)
         weights = noise.weights
-        plain = before > np.log(_FAINT)
+        plain = before > np.log(DEAD)
         if np.abs(noise.free - before)[plain].max(initial=0.0) < _SETTLED:
             break
     return with_random(noise, problem, columns, random)

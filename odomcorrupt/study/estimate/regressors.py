@@ -74,7 +74,7 @@ class MotionSmoother:
         if not self.odometry.is_of(whole):
             self.odometry = _Odometry(whole)
         t_s = whole.odometry_s
-        self._ends_s, self._dt_s, middle = t_s[1:], self.odometry.motion.dt_s, _middle(t_s)
+        self._ends_s, self._dt_s, middle = t_s[1:], self.odometry.motion.dt_s, (t_s[:-1] + t_s[1:]) / 2.0
         # Slopes and patches of the floor are fixed in the world, so places come from the truth: where intervals begin,
         # as in corruption, with the mean heading.
         begins, means = (
@@ -176,7 +176,7 @@ class _Odometry:
     @cached_property
     def slopes(self) -> _Slopes:
         """Line fits to the poses at the middle of each interval."""
-        return _Slopes.of(self._recording.odometry, _middle(self._t_s), self._begin_ns, SMOOTHING_S)
+        return _Slopes.of(self._recording.odometry, (self._t_s[:-1] + self._t_s[1:]) / 2.0, self._begin_ns, SMOOTHING_S)
 
     @cached_property
     def smooth(self) -> tuple[Array, Array]:
@@ -234,11 +234,6 @@ def _within(path: Trajectory, at_s: Array, origin_ns: int) -> Array:
     """Return times (m,), s, with those before and after a path replaced by its ends."""
     own = path.seconds_since(origin_ns)
     return np.clip(at_s, own[0], own[-1])
-
-
-def _middle(t_s: Array) -> Array:
-    """Return the middle (n,) of each interval between stamps (n + 1,), s."""
-    return (t_s[:-1] + t_s[1:]) / 2.0
 
 
 def truth_noise(truth: Trajectory) -> Array:

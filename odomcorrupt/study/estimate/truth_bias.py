@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.config import Approach
-    from odomcorrupt.study.estimate.noise_likelihood import NoiseFit
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.io.recording import Recording
 
@@ -78,11 +77,14 @@ def bias_roots(problem: Problem) -> Array:
     by_gyro = np.array([float(not r.positioned) for r in runs])[problem.run]
     lag_s = np.maximum(LAG_BIAS_S * matched, GYRO_LAG_S * by_gyro)
     columns += [lag_s[:, None] * part for part in np.moveaxis(problem.columns(registry()["channel_lag"]()), 2, 0)]
-    columns += [*np.moveaxis(_gyro_roots(problem), 2, 0)]
+    columns += [*np.moveaxis(gyro_roots(problem), 2, 0)]
+    twice = 2.0 * (intervals.truth_xyt[:, 2] + intervals.truth_step[:, 2])
+    c, s = np.cos(twice), np.sin(twice)
     for r, run in enumerate(runs):
-        if run.matched:
-            own = along * (problem.run == r)[:, None]
-            columns += [_of_travel(LOCAL_BIAS * part) for part in _strains(problem, own)]
+        if run.matched:  # per unit stretch of the map's x axis, which shortens y, and per unit shear
+            x, y = (along * (problem.run == r)[:, None]).T
+            strains = np.column_stack((c * x - s * y, -s * x - c * y)), np.column_stack((s * x + c * y, c * x - s * y))
+            columns += [_of_travel(LOCAL_BIAS * part) for part in strains]
     cell = np.floor(intervals.truth_xyt[:, :2] / CELL_M).astype(np.int64)
     _, place, count = np.unique(
         np.column_stack((problem.run.astype(np.int64), cell)), axis=0, return_inverse=True, return_counts=True
@@ -95,7 +97,7 @@ def bias_roots(problem: Problem) -> Array:
     return np.stack(columns, axis=2)
 
 
-def _gyro_roots(problem: Problem) -> Array:
+def gyro_roots(problem: Problem) -> Array:
     """Return the columns (K, 3, m) of `bias_roots` that belong to the biases of gyros."""
     runs = problem.recordings
     walk = np.array([USUAL_WALK if r.turn_bias_walk is None else r.turn_bias_walk for r in runs])[problem.run]
@@ -120,23 +122,6 @@ def bias_steps(problem: Problem) -> tuple[Array, Array]:
         later = intervals.start_s[:, None] >= np.arange(first_s + step_s, last_s, step_s)
         steps.append(np.sqrt(step_s) * turn * later)
     return _of_turn(np.concatenate(start, axis=1)), _of_turn(np.concatenate(steps, axis=1))
-
-
-def turn_errors(problem: Problem, noise: NoiseFit) -> Array:
-    """Return the posterior mean (K,) of the turn, rad, that a gyro's bias takes from the truth of each interval."""
-    roots = _gyro_roots(problem)
-    turns: Array = (roots @ (noise.whitener.whiten(roots).T @ noise.innovations))[:, 2]
-    return turns
-
-
-def _strains(problem: Problem, along: Array) -> tuple[Array, Array]:
-    """Return the residual of travel (K, 2) per unit stretch of the map's x axis, which shortens y, and per unit shear.
-
-    along : (K, 2) that per unit of scale error, in the axes of the robot at the end of each interval
-    """
-    twice = 2.0 * (problem.intervals.truth_xyt[:, 2] + problem.intervals.truth_step[:, 2])
-    c, s, (x, y) = np.cos(twice), np.sin(twice), along.T
-    return np.column_stack((c * x - s * y, -s * x - c * y)), np.column_stack((s * x + c * y, c * x - s * y))
 
 
 def _of_turn(yaw: Array) -> Array:

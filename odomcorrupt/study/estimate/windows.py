@@ -30,7 +30,7 @@ from odomcorrupt.geometry.se2 import between, rotate
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.model.noise_laws import variances
 from odomcorrupt.study.estimate.intervals import cut_at, intervals_between, pick_interval_ends
-from odomcorrupt.study.estimate.truth_bias import turn_errors
+from odomcorrupt.study.estimate.truth_bias import gyro_roots
 from odomcorrupt.study.io.headings import alignment, with_recomputed_headings
 
 if TYPE_CHECKING:
@@ -119,19 +119,16 @@ def joint_rmse(windows: Iterable[Intervals]) -> float:
 
 def drift_of(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> Drift:
     """Return the position errors at the ends of windows, for five phases: a steadier estimate than one phase."""
-    phases = np.arange(5) / 5.0
-    return Drift(
-        tuple(np.concatenate([_squared_misses(run, length_s, phase) for run in recordings]) for phase in phases)
-    )
-
-
-def _squared_misses(recording: Recording, length_s: float, phase: float) -> Array:
-    """Return squared position errors (n,) at the ends of `time_windows`, m^2; only the end poses are computed."""
-    picked, first = _time_ends(recording, length_s, phase)
-    truth_xyt, last = recording.truth.xyt[picked], first + 1
-    odometry_xyt = recording.odometry.at(recording.truth_s[picked], recording.origin_ns)
-    went = between(odometry_xyt[first], odometry_xyt[last]) - between(truth_xyt[first], truth_xyt[last])
-    return np.sum(went[:, :2] ** 2, axis=1)
+    squared = []
+    for phase in np.arange(5) / 5.0:
+        misses = []
+        for recording in recordings:  # as in `time_windows`, but only the end poses are computed
+            picked, first = _time_ends(recording, length_s, phase)
+            truth_xyt, last = recording.truth.xyt[picked], first + 1
+            odometry_xyt = recording.odometry.at(recording.truth_s[picked], recording.origin_ns)
+            misses.append(between(odometry_xyt[first], odometry_xyt[last]) - between(truth_xyt[first], truth_xyt[last]))
+        squared.append(np.concatenate([np.sum(own[:, :2] ** 2, axis=1) for own in misses]))
+    return Drift(tuple(squared))
 
 
 @dataclass(frozen=True, slots=True)
@@ -363,24 +360,20 @@ def with_gyros_corrected(recordings: Sequence[Recording], fitted: Fit) -> list[R
     """Return recordings with the biases that a fit to them estimates removed from those truths that are gyros."""
     if all(recording.positioned for recording in recordings):
         return list(recordings)
-    turns = turn_errors(fitted.problem, fitted.noise)
-    return [_turned(recording, fitted, i, turns) for i, recording in enumerate(recordings)]
-
-
-def _turned(recording: Recording, fitted: Fit, number: int, turns: Array) -> Recording:
-    """Return a recording whose truth, if it is a gyro, turns more by `turns` (K,), the fit's intervals being K."""
-    own, truth = fitted.problem.run == number, recording.truth
-    if recording.positioned or not own.any():
-        return recording
-    intervals = fitted.problem.intervals
-    more = np.interp(
-        recording.truth_s,
-        np.append(intervals.start_s[own][:1], intervals.end_s[own]),
-        np.append(0.0, np.cumsum(turns[own])),
-    )
-    steps = rotate(np.diff(truth.xyt[:, :2], axis=0), 0.5 * (more[1:] + more[:-1]))
-    xy = truth.xyt[0, :2] + np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
-    return replace(recording, truth=replace(truth, xyt=np.column_stack((xy, truth.xyt[:, 2] + more))))
+    intervals, roots, noise = fitted.problem.intervals, gyro_roots(fitted.problem), fitted.noise
+    # posterior mean (K,) of the turn, rad, that a bias takes from the truth of each interval
+    turns = (roots @ (noise.whitener.whiten(roots).T @ noise.innovations))[:, 2]
+    found = list(recordings)
+    for i, recording in enumerate(recordings):
+        own, truth = fitted.problem.run == i, recording.truth
+        if recording.positioned or not own.any():
+            continue
+        ends_s = np.append(intervals.start_s[own][:1], intervals.end_s[own])
+        more = np.interp(recording.truth_s, ends_s, np.append(0.0, np.cumsum(turns[own])))
+        steps = rotate(np.diff(truth.xyt[:, :2], axis=0), 0.5 * (more[1:] + more[:-1]))
+        xy = truth.xyt[0, :2] + np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
+        found[i] = replace(recording, truth=replace(truth, xyt=np.column_stack((xy, truth.xyt[:, 2] + more))))
+    return found
 
 
 def ten_second_error(fitted: Fit, length_s: float = WINDOW_S) -> float:

@@ -27,8 +27,7 @@ from odomcorrupt.study.select.evidence import FOLDS, Evidence
 from odomcorrupt.study.select.periodic import flat_spots
 from odomcorrupt.study.select.shape_search import CoarseDesign, ShapeSearch
 from odomcorrupt.study.terms.basis import rectangle_of
-from odomcorrupt.study.terms.library import library_families
-from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
+from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm, library_families
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -124,8 +123,9 @@ class Dictionary:
         for family in families(fit):
             for best in search.located(family):
                 shapes = [best]
-                if search.gain(best) > self.decisions.related_nats and (related := best.related()):
-                    # forms of one place are compared at their best shapes
+                if search.gain(best) > self.decisions.related_nats and (forms := best.start.related()):
+                    # forms of one place, too many to be tried at every shape, are compared at their best shapes
+                    related = [replace(best, start=form) for form in forms]
                     shapes = [search.maximise(one) for one in (best, max(map(search.climb, related), key=search.gain))]
                 self._add(*shapes)
         count, kinds = len(fit.problem.intervals), dict[tuple[str, str], list[tuple[float, BasisTerm]]]()
@@ -166,7 +166,7 @@ class Dictionary:
         """Return terms of a model, then all others."""
         own = {_key(t) for t in present}
         others: list[LibraryTerm | BasisTerm] = [*self.library.values()]
-        others += [t for t in self.basis.values() if self.recurring or not t.of_time]
+        others += [t for t in self.basis.values() if self.recurring or t.function.regressor != "time"]
         return [*present, *(t for t in others if _key(t) not in own)]
 
 

@@ -18,7 +18,7 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.random_process import without_random
 from odomcorrupt.study.estimate.robust_errors import between_blocks, block_of, inflation, shared_variance
 from odomcorrupt.study.io.clock import clock_leaders
-from odomcorrupt.study.select.score import project_out
+from odomcorrupt.study.select.evidence import project_out
 
 if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit

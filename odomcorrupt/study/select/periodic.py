@@ -14,7 +14,7 @@ import numpy as np
 from odomcorrupt.effects.gears import FlatSpot
 from odomcorrupt.effects.wheels import TRACKS_M
 from odomcorrupt.study.estimate.drive_type import drive_type_of
-from odomcorrupt.study.select.score import project_out
+from odomcorrupt.study.select.evidence import project_out
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
@@ -40,7 +40,12 @@ def flat_spots(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
     if not problem.headings or drive_type_of(problem.recordings).steered:
         return []
     rest, whiten = project_out(fit), fit.noise.whitener.whiten
-    score = _scores(fit, fit.noise.whitener.pulled(rest.residual))
+    intervals = problem.intervals
+    # score (n,) of each step for an error of the heading proportional to its travel
+    moved = np.concatenate([m.v * m.dt_s for m in problem.motions])
+    interval = np.repeat(np.arange(len(intervals)), np.diff(np.append(intervals.first, len(intervals.source))))
+    pull = fit.noise.whitener.pulled(rest.residual)[interval]
+    score = np.einsum("in,ni->n", intervals.carried(-moved[:, None] * (0.0, 0.0, 1.0)), pull)
     own = problem.motions[0].track_m
     found: list[tuple[float, FlatSpot]] = []
     for track_m in TRACKS_M if own is None else (own,):
@@ -61,20 +66,10 @@ def flat_spots(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
     return [tuple(LibraryTerm(spot, trials * len(forms)) for spot in forms)] if forms else []
 
 
-def _scores(fit: Fit, pull: Array) -> Array:
-    """Return the score (n,) of each step for an error of the heading proportional to its travel."""
-    intervals = fit.problem.intervals
-    moved = np.concatenate([m.v * m.dt_s for m in fit.problem.motions])
-    unit = np.zeros((len(moved), 3))
-    unit[:, 2] = -moved
-    interval = np.repeat(np.arange(len(intervals)), np.diff(np.append(intervals.first, len(intervals.source))))
-    return np.einsum("in,ni->n", intervals.carried(unit), pull[interval])
-
-
 def _likeliest(fit: Fit, score: Array, distance: Callable[[Motion], Array]) -> list[float]:
     """Return the wavelengths, m, with the largest scores, for information spread evenly over the distance.
 
-    score : (n,) score of each step, see `_scores`
+    score : (n,) score of each step for an error of the heading proportional to its travel
     """
     intervals, motions = fit.problem.intervals, fit.problem.motions
     distance_m = np.concatenate([distance(m) for m in motions])
@@ -90,7 +85,11 @@ def _likeliest(fit: Fit, score: Array, distance: Callable[[Motion], Array]) -> l
     per_m = np.fft.rfftfreq(size, _GRID_M)
     inside = np.flatnonzero((per_m >= 1.0 / LONGEST_M) & (per_m <= 1.0 / SHORTEST_M))
     # longer waves turn the robot further and have larger scores: divide by the smoothed spectrum
-    level = _smooth(strength[inside])
+    count = len(inside)
+    width = min(max(count // 20, 1), (count - 1) // 2)  # of a short drive, the spectrum has few bins
+    total = np.concatenate(([0.0], np.cumsum(strength[inside])))
+    low, high = (np.clip(np.arange(count) + k, 0, count) for k in (-width, width + 1))
+    level = np.maximum((total[high] - total[low]) / (high - low), 1e-300)
     ranked = inside[np.argsort(-strength[inside] / level)]
     chosen: list[float] = []
     for i in ranked[: 40 * _TRIED]:
@@ -99,11 +98,3 @@ def _likeliest(fit: Fit, score: Array, distance: Callable[[Motion], Array]) -> l
         if len(chosen) == _TRIED:
             break
     return [1.0 / f for f in chosen]
-
-
-def _smooth(strength: Array) -> Array:
-    # of a short drive, the spectrum has few bins
-    width = min(max(len(strength) // 20, 1), (len(strength) - 1) // 2)
-    total = np.concatenate(([0.0], np.cumsum(strength)))
-    low, high = (np.clip(np.arange(len(strength)) + k, 0, len(strength)) for k in (-width, width + 1))
-    return np.maximum((total[high] - total[low]) / (high - low), 1e-300)

@@ -30,7 +30,7 @@ from odomcorrupt.study.estimate.random_process import (
     with_random,
     without_random,
 )
-from odomcorrupt.study.select.score import project_out
+from odomcorrupt.study.select.evidence import project_out
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -165,9 +165,13 @@ def _in_both_halves(fit: Fit, effect: Effect, decisions: Decisions) -> bool:
         p for p in processes() if p.kind is type(effect) and p.fixed.get("channel") == getattr(effect, "channel", None)
     ]
     halves, gains = [], []
+    whiten = fit.noise.whitener.whiten
     for process in family:
-        basis, white = _whitened(fit, process)
-        sides = [_part(basis, white, fit.noise.innovations, np.repeat(usual & side, 3)) for side in (early, ~early)]
+        mean = [unit_column(fit.problem, process)[:, :, None]] if process.unit is bias_of else []
+        free = whiten(np.concatenate([fit.design_matrix, *mean], axis=2))
+        columns = unit_knots(fit.problem, process).columns
+        white = whiten(columns.reshape(-1, 3, columns.shape[1]))
+        sides = [_part(free, white, fit.noise.innovations, np.repeat(usual & side, 3)) for side in (early, ~early)]
         halves.append(sides)
         gains.append([_gains(*half, _scales(process)) for half in sides])
     both = np.array(gains).swapaxes(0, 1)  # (2, processes, scales)
@@ -289,15 +293,6 @@ def _scales(process: Process) -> Array:
     """Return the scales (121,) at which a process is evaluated."""
     (most,) = (p.high for p in parameters(process.kind) if p.name == process.scale)
     return np.geomspace(_LEAST_SCALE, most, 121)
-
-
-def _whitened(fit: Fit, process: Process) -> tuple[Array, Array]:
-    """Return the whitened columns (3 K, q) that are free beside a process, and its own (3 K, m)."""
-    whiten, beside = fit.noise.whitener.whiten, [fit.design_matrix]
-    if process.unit is bias_of:
-        beside.append(unit_column(fit.problem, process)[:, :, None])
-    columns = unit_knots(fit.problem, process).columns
-    return whiten(np.concatenate(beside, axis=2)), whiten(columns.reshape(-1, 3, columns.shape[1]))
 
 
 def _part(beside: Array, white: Array, innovations: Array, rows: NDArray[np.bool_]) -> tuple[Array, Array]:

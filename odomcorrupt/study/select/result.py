@@ -15,9 +15,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.drive_type import DriveType
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.select.candidates import Candidate
+    from odomcorrupt.study.select.candidates import Candidate, Dependence
     from odomcorrupt.study.select.contribution import Contribution
-    from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.heterogeneity import ParameterDifference
     from odomcorrupt.study.select.random_effects import DetectedRandomEffect
 

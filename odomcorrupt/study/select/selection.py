@@ -26,10 +26,9 @@ from odomcorrupt.study.estimate.truth_bias import with_bias_walks
 from odomcorrupt.study.estimate.windows import drift_of, ten_second_error
 from odomcorrupt.study.io.clock import Clock, as_rows, clock_leaders, led
 from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
-from odomcorrupt.study.select.candidates import drop_term, score_terms, tested_candidates
+from odomcorrupt.study.select.candidates import Dependence, dependence_of, drop_term, score_terms, tested_candidates
 from odomcorrupt.study.select.contribution import is_exact
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions
-from odomcorrupt.study.select.dependence import Dependence, dependence_of
 from odomcorrupt.study.select.dictionary import (
     ClockChoice,
     ClockTerm,
@@ -382,11 +381,15 @@ class _Selection:
     def result(self, clocks: Clocks) -> Learned:
         """Return the model with the evidence for each of its terms, and for others in their place."""
         self._linearise()
-        gains, fits = self._gains(), self._sequence()
+        gains, given = self._gains(), [e for e in self.fit.effects if e.name in self.given]
+        order = self._order(gains)
+        # with none, one, two, ... of the effects of the model, the largest gain first
+        effects = [self.fit.by_name[self.competing[i].name] for i in order]
+        fits = [*(self.fit.refit((*given, *effects[:k]), weights_of=self.fit) for k in range(len(effects))), self.fit]
         tested = tested_candidates(self.fit, self.dictionary.library.values(), self.dictionary)
         steps = [Step(before=self.fit.for_reports(), candidates=tuple(tested), added=None)]
         included, rivals = list[Dependence](), list[Dependence]()
-        for i, before, after in reversed([*zip(self._order(gains), fits, fits[1:], strict=False)]):
+        for i, before, after in reversed([*zip(order, fits, fits[1:], strict=False)]):
             term, instead = self.competing[i], self._instead(i)
             bare = drop_term(self.fit, self.fit.by_name[term.name])
             step = Step(before=before.for_reports(), candidates=tuple(tested), added=None)
@@ -407,8 +410,8 @@ class _Selection:
             candidates = replace(candidates[0], rmse=rmse), *candidates[1:]
             steps.insert(0, replace(step, candidates=candidates, added=term.name))
         if not self.dictionary.recurring:
-            timed = score_terms(self.fit, [t for t in self.dictionary.basis.values() if t.of_time], self.dictionary)
-            best = max(timed, key=lambda one: one.nats, default=None)
+            of_time = [t for t in self.dictionary.basis.values() if t.function.regressor == "time"]
+            best = max(score_terms(self.fit, of_time, self.dictionary), key=lambda one: one.nats, default=None)
             if best is not None and best.nats > self.decisions.replacement_nats and isinstance(best.term, BasisTerm):
                 rivals.append(dependence_of(self.fit, best.term, best.nats, self.dictionary))
         kept = {effect.name for effect in self.fit.effects}
@@ -434,12 +437,6 @@ class _Selection:
     def _order(self, gains: Mapping[int, float]) -> list[int]:
         """Return the indices of the effects of the model, the largest gain first."""
         return sorted((i for i in gains if not isinstance(self.competing[i], ClockTerm)), key=lambda i: -gains[i])
-
-    def _sequence(self) -> list[Fit]:
-        """Return the fits with none, one, two, ... of the effects of the model, the largest gain first."""
-        effects = [self.fit.by_name[self.competing[i].name] for i in self._order(self._gains())]
-        given = [e for e in self.fit.effects if e.name in self.given]
-        return [*(self.fit.refit((*given, *effects[:k]), weights_of=self.fit) for k in range(len(effects))), self.fit]
 
     def _clocks_of(self, final: Fit, clocks: Clocks, gains: Mapping[int, float], found: Sequence[Dependence]) -> Clocks:
         """Return the clocks of the final model, with the evidence for them and for others in their place."""

@@ -25,7 +25,7 @@ from odomcorrupt.errors import EffectError
 from odomcorrupt.study.estimate.drive_type import is_holonomic
 from odomcorrupt.study.estimate.problem import by_column
 from odomcorrupt.study.io.recording import shared_frame
-from odomcorrupt.study.select.score import project_out
+from odomcorrupt.study.select.evidence import project_out
 from odomcorrupt.study.terms.basis import basis_functions
 from odomcorrupt.study.terms.channels import MOVES, actions_on, views
 from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm, T, Term, neighbours
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.select.decisions import Decisions
-    from odomcorrupt.study.select.score import Projection
+    from odomcorrupt.study.select.evidence import Projection
     from odomcorrupt.study.terms.basis import BasisFunction
     from odomcorrupt.study.terms.channels import Action
 
@@ -265,23 +265,18 @@ class ShapeSearch:
     def __init__(self, fit: Fit, decisions: Decisions, design: CoarseDesign | None = None) -> None:
         self._fit, self._decisions, self._rest = fit, decisions, project_out(fit)
         self._design = CoarseDesign(fit.problem) if design is None else design
-        self._gains: dict[Effect, float] = {}
+        self._gains: dict[Term, float] = {}
         self._coarse_gains: dict[Effect, float] = {}
 
     def gain(self, term: Term) -> float:
         """Return the gain of a term at its shape, nats, from exact columns; 0 if it cannot act."""
-        if not isinstance(term, LibraryTerm):
-            return self._gain(term)
-        if term.start not in self._gains:
-            self._gains[term.start] = self._gain(term)
-        return self._gains[term.start]
-
-    def _gain(self, term: Term) -> float:
-        try:
-            columns = term.columns(self._fit.problem)
-        except EffectError:  # the term acts on single wheels, and the track is unknown
-            return 0.0
-        return self._rest.gain(self._fit.noise.whitener.whiten(columns))
+        if term not in self._gains:
+            try:
+                white = self._fit.noise.whitener.whiten(term.columns(self._fit.problem))
+            except EffectError:  # the term acts on single wheels, and the track is unknown
+                return 0.0
+            self._gains[term] = self._rest.gain(white)
+        return self._gains[term]
 
     def coarse_gains(self, terms: Sequence[Term]) -> Array:
         """Return the approximate gains (J,) of terms at their shapes, nats."""

@@ -7,9 +7,10 @@ Thresholds, places and moments are families with shape parameters; the penalty a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise, product
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -59,6 +60,11 @@ class BasisFunction:
     related: tuple[BasisFunction, ...] = field(default=(), compare=False)
     within: Callable[[Array, Array], BasisFunction] | None = field(default=None, compare=False)
     place: str = field(default="", compare=False)
+
+
+def _searched(make: Callable[[float], BasisFunction], at: float, step: float) -> BasisFunction:
+    """Return a function made with one shape parameter, `at` this value, that may be refined with this first step."""
+    return replace(make(at), shape=(at,), steps=(step,), with_shape=lambda moved: _searched(make, moved[0], step))
 
 
 def basis_functions(motions: Sequence[Motion], *, placed: bool = True, sideways: bool = False) -> list[BasisFunction]:
@@ -171,7 +177,7 @@ _LEAST_S, _LEAST_SLIP_S, _WITHIN = 2.0, 6.0, 0.9
 some tenths of a second would fill less; and the largest threshold of a speed, as a fraction of the speed exceeded for
 the first of these: above a cruising speed is only odometry noise, which is also part of the error."""
 _HINGED = ("speed", "yaw_rate", "acceleration", "lateral_acceleration", _SIDEWAYS)  # regressors with hinges
-_STILL = 0.02
+STILL = 0.02
 """Rates below which a robot is at rest, m/s and rad/s."""
 _CUTS, _TAIL = np.linspace(0.05, 0.95, 19), 0.05 * 2.0 ** (-0.5 * np.arange(1.0, 9.0))
 """Quantiles at which thresholds are tried, and further ones as fractions of the data beyond: hard braking is rare."""
@@ -218,15 +224,15 @@ def _singles(motions: Sequence[Motion], *, sideways: bool) -> Iterator[_Single]:
         yield _SIDEWAYS, "k", lambda m: np.ones(len(m)), ("sideways gain",), 1
     # in one direction only
     for regressor, name, value in ways:
-        if name == "omega" or np.concatenate([value(m) < -_STILL for m in motions]).mean() > _least_part(motions):
-            text = f"k * where({name} < {-_STILL:.4g}, 1, 0)"
-            yield regressor, text, _below(value, -_STILL), _reaches(regressor, "one", "both"), 1
+        if name == "omega" or np.concatenate([value(m) < -STILL for m in motions]).mean() > _least_part(motions):
+            text = f"k * where({name} < {-STILL:.4g}, 1, 0)"
+            yield regressor, text, _below(value, -STILL), _reaches(regressor, "one", "both"), 1
     # of one wheel that scrubs in turns to one side
     yield "yaw_rate", "k * max(omega, 0)", lambda m: np.maximum(m.omega, 0.0), ("one",), 2
     yield "yaw_rate", "k * max(-omega, 0)", lambda m: np.maximum(-m.omega, 0.0), ("one",), 2
     # only while the robot is at rest, does not drive, or does not turn
     for regressor, (name, value) in (("speed", speed), ("yaw_rate", yaw_rate), ("speed", either)):
-        yield regressor, f"k * where({name} < {_STILL:.4g}, 1, 0)", _below(value, _STILL), ("bias",), 1
+        yield regressor, f"k * where({name} < {STILL:.4g}, 1, 0)", _below(value, STILL), ("bias",), 1
 
 
 def _reaches(regressor: str, *wheels: str) -> tuple[str, ...]:
@@ -249,7 +255,8 @@ def thresholds(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunct
     cuts = cuts[(cuts >= within[0]) & (cuts <= within[1])]
     for above, (i, cut) in product(ways, enumerate(cuts)):
         gap = float(np.max(np.diff(cuts[max(i - 1, 0) : i + 2]), initial=0.0))
-        yield _threshold(regressor, len(cuts) * len(ways), (float(cut),), (0.5 * gap,), above=above, within=within)
+        make = partial(_threshold, regressor, len(cuts) * len(ways), within, ">" if above else "<")
+        yield _searched(make, float(cut), 0.5 * gap)
 
 
 def _either_signs(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
@@ -260,67 +267,45 @@ def _either_signs(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
     wheels = [wheel for m in motions if m.track_m is not None for wheel in wheel_motions(m, m.track_m)]
     if not wheels:
         return
-    seen = np.concatenate([np.abs(m.a[np.abs(m.v) > _STILL]) for m in wheels])
+    seen = np.concatenate([np.abs(m.a[np.abs(m.v) > STILL]) for m in wheels])
     levels = np.concatenate((_CUTS, 1.0 - _TAIL[_least_part(motions, _LEAST_SLIP_S) < _TAIL]))
     cuts = np.quantile(seen, np.sort(levels)) if len(seen) else np.zeros(0)
     cuts = np.unique(np.maximum(cuts, _LEAST["acceleration"]))
     for i, cut in enumerate(cuts):
         gap = float(np.max(np.diff(cuts[max(i - 1, 0) : i + 2]), initial=0.0))
-        yield _either_sign(len(cuts), (float(cut),), (0.5 * gap,))
+        yield _searched(partial(_either_sign, len(cuts)), float(cut), 0.5 * gap)
 
 
-def _either_sign(trials: int, shape: tuple[float, ...], steps: tuple[float, ...]) -> BasisFunction:
-    cut = max(shape[0], _LEAST["acceleration"])
-    return BasisFunction(
-        "acceleration",
-        f"k * where(abs(a) > {cut:.4g}, 1, 0)",
-        (_above(lambda m: np.abs(m.a), cut),),
-        trials * REFINING,
-        form="step",
-        reaches=("one",),
-        shape=shape,
-        steps=steps,
-        with_shape=lambda moved: _either_sign(trials, moved, steps),
-    )
+def _either_sign(trials: int, at: float) -> BasisFunction:
+    cut = max(at, _LEAST["acceleration"])
+    parts = (_above(lambda m: np.abs(m.a), cut),)
+    text = f"k * where(abs(a) > {cut:.4g}, 1, 0)"
+    return BasisFunction("acceleration", text, parts, trials * REFINING, "step", ("one",))
 
 
 def _cuts(regressor: str, motions: Sequence[Motion]) -> Array:
     """Return quantiles of a regressor while the robot moved; for a speed also the limit of rest."""
     value = VALUES[regressor][1]
     of_speed = regressor in _SPEEDS
-    moves = [(np.abs(m.v) > _STILL) | (np.abs(m.omega) > _STILL) | (of_speed & (value(m) > _STILL)) for m in motions]
+    moves = [(np.abs(m.v) > STILL) | (np.abs(m.omega) > STILL) | (of_speed & (value(m) > STILL)) for m in motions]
     seen = np.concatenate([value(m)[moving] for m, moving in zip(motions, moves, strict=True)])
     least_s = _LEAST_S if of_speed else _LEAST_SLIP_S
     rare = _TAIL[_least_part(motions, least_s) < _TAIL] if regressor != "time" else _TAIL[:0]
     levels = np.concatenate((rare if regressor in _SIGNED else rare[:0], _CUTS, 1.0 - rare))
     cuts = np.quantile(seen, np.sort(levels)) if len(seen) else np.zeros(0)
-    return np.unique(np.append(cuts, _STILL) if of_speed else cuts)
+    return np.unique(np.append(cuts, STILL) if of_speed else cuts)
 
 
 def _threshold(
-    regressor: str,
-    trials: int,
-    shape: tuple[float, ...],
-    steps: tuple[float, ...],
-    *,
-    above: bool,
-    within: tuple[float, float],
+    regressor: str, trials: int, within: tuple[float, float], side: Literal["<", ">"], at: float
 ) -> BasisFunction:
     text, value = VALUES[regressor]
     least = _LEAST.get(regressor, 0.0)
-    cut = float(np.clip(shape[0], *within))
-    cut = cut if abs(cut) >= least else float(np.copysign(least, shape[0]))
-    return BasisFunction(
-        regressor,
-        f"k * where({text} {'>' if above else '<'} {cut:.4g}, 1, 0)",
-        ((_above if above else _below)(value, cut),),
-        trials * REFINING,
-        form="step",
-        reaches=_reaches(regressor, "one", "both"),
-        shape=shape,
-        steps=steps,
-        with_shape=lambda moved: _threshold(regressor, trials, moved, steps, above=above, within=within),
-    )
+    cut = float(np.clip(at, *within))
+    cut = cut if abs(cut) >= least else float(np.copysign(least, at))
+    parts = ((_above if side == ">" else _below)(value, cut),)
+    text = f"k * where({text} {side} {cut:.4g}, 1, 0)"
+    return BasisFunction(regressor, text, parts, trials * REFINING, "step", _reaches(regressor, "one", "both"))
 
 
 def _hinges(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction]:
@@ -333,7 +318,7 @@ def _hinges(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction
     for sign, cut in shapes:
         if cut > 0.0 or two_sided:
             step = 0.15 * max(cuts, default=1.0)
-            yield _hinge(regressor, len(shapes), (cut,), (step,), sign=sign, most=most[sign])
+            yield _searched(partial(_hinge, regressor, len(shapes), sign, most[sign]), cut, step)
 
 
 def _latest(regressor: str, motions: Sequence[Motion], sign: float = 1.0) -> float:
@@ -352,22 +337,12 @@ def _least_part(motions: Sequence[Motion], least_s: float = _LEAST_S) -> float:
     return min(least_s / max(sum(float(m.dt_s.sum()) for m in motions), 1e-9), 1.0)
 
 
-def _hinge(
-    regressor: str, trials: int, shape: tuple[float, ...], steps: tuple[float, ...], *, sign: float, most: float
-) -> BasisFunction:
+def _hinge(regressor: str, trials: int, sign: float, most: float, at: float) -> BasisFunction:
     text, value = VALUES[regressor]
-    cut = min(max(shape[0], 0.0), most)
-    return BasisFunction(
-        regressor,
-        f"k * max({text if sign > 0.0 else f'-{text}'} - {cut:.4g}, 0)",
-        (lambda m: np.maximum(sign * value(m) - cut, 0.0),),
-        trials * REFINING,
-        form="hinge",
-        reaches=_reaches(regressor, "one", "both"),
-        shape=shape,
-        steps=steps,
-        with_shape=lambda moved: _hinge(regressor, trials, moved, steps, sign=sign, most=most),
-    )
+    cut = min(max(at, 0.0), most)
+    parts = (lambda m: np.maximum(sign * value(m) - cut, 0.0),)
+    text = f"k * max({text if sign > 0.0 else f'-{text}'} - {cut:.4g}, 0)"
+    return BasisFunction(regressor, text, parts, trials * REFINING, "hinge", _reaches(regressor, "one", "both"))
 
 
 def _saturations(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
@@ -375,21 +350,14 @@ def _saturations(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
     most = _latest("yaw_rate", motions)
     cuts = [float(cut) for cut in _cuts("yaw_rate", motions)[1::3] if 0.0 < cut <= most]
     for cut in cuts:
-        yield _saturation(len(cuts), (cut,), (0.15 * max(cuts),), most)
+        yield _searched(partial(_saturation, len(cuts), most), cut, 0.15 * max(cuts))
 
 
-def _saturation(trials: int, shape: tuple[float, ...], steps: tuple[float, ...], most: float) -> BasisFunction:
-    cut = min(max(shape[0], 0.0), most)
-    return BasisFunction(
-        "yaw_rate",
-        f"k * sign(omega) * max(abs(omega) - {cut:.4g}, 0)",
-        (lambda m: np.sign(m.omega) * np.maximum(np.abs(m.omega) - cut, 0.0),),
-        trials * REFINING,
-        reaches=("bias",),
-        shape=shape,
-        steps=steps,
-        with_shape=lambda moved: _saturation(trials, moved, steps, most),
-    )
+def _saturation(trials: int, most: float, at: float) -> BasisFunction:
+    cut = min(max(at, 0.0), most)
+    parts = (lambda m: np.sign(m.omega) * np.maximum(np.abs(m.omega) - cut, 0.0),)
+    text = f"k * sign(omega) * max(abs(omega) - {cut:.4g}, 0)"
+    return BasisFunction("yaw_rate", text, parts, trials * REFINING, reaches=("bias",))
 
 
 def _above(value: Of, cut: float) -> Of:
@@ -567,7 +535,7 @@ def functions_of_time(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
     moments, of a load that was carried for a while, have no time in common in several drives.
     """
     for tau_s, rising in product(_SETTLE_S, (False, True)):
-        yield _settling((float(np.log(tau_s)),), rising=rising)
+        yield _searched(partial(_settling, rising), float(np.log(tau_s)), 0.5)
     ends_s = sorted((float(m.t_s[0]), float(m.t_s[-1])) for m in motions)
     if any(after[0] < before[1] for before, after in pairwise(ends_s)):
         return
@@ -577,17 +545,14 @@ def functions_of_time(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
         yield _spell((ends_s[0][0] + (i + 0.5) / _SPELLS * longest_s, part * longest_s), 0.25 * longest_s / _SPELLS)
 
 
-def _settling(shape: tuple[float, ...], *, rising: bool) -> BasisFunction:
-    tau_s = float(np.clip(np.exp(min(shape[0], 50.0)), _QUICKEST_S, _SLOWEST_S))
+def _settling(rising: bool, log_tau: float) -> BasisFunction:  # noqa: FBT001 - of a partial
+    tau_s = float(np.clip(np.exp(min(log_tau, 50.0)), _QUICKEST_S, _SLOWEST_S))
     return BasisFunction(
         "time",
         f"k * (1 - exp(-t / {tau_s:.4g}))" if rising else f"k * exp(-t / {tau_s:.4g})",
         (lambda m: float(rising) + (-1.0 if rising else 1.0) * np.exp(-m.t_s / tau_s),),
         2 * len(_SETTLE_S) * REFINING,
         reaches=(*_ANYWHERE, "bias"),
-        shape=shape,
-        steps=(0.5,),
-        with_shape=lambda moved: _settling(moved, rising=rising),
     )
 
 

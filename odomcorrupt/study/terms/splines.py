@@ -14,16 +14,6 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Motion
     from odomcorrupt.geometry.se2 import Array
 
-_HATS = {  # number of hats of each regressor
-    "speed": 6,
-    "yaw_rate": 6,
-    "acceleration": 6,
-    "lateral_acceleration": 6,
-    "yaw_acceleration": 6,
-    "time": 8,
-    "distance": 8,
-    "sideways_speed": 6,
-}
 _GRID = 4  # grid lines of the floor along each axis
 _FINEST = 0.05
 """Least distance of hats, as a fraction of the regressor's range: noise of the odometry enters regressor and error."""
@@ -37,23 +27,23 @@ def curve_regressors(
     placed : whether the motions are in one frame, so that heading and position are regressors
     sideways : whether the robot drives sideways, so that this speed is a regressor
     """
-    of: dict[str, Callable[[Motion], Array]] = {
-        "speed": lambda m: m.v,
-        "yaw_rate": lambda m: m.omega,
-        "acceleration": lambda m: m.a,
-        "lateral_acceleration": lambda m: np.abs(m.v * m.omega),
-        "yaw_acceleration": lambda m: m.alpha,
-        "time": lambda m: m.t_s,
-        "distance": lambda m: m.distance,
+    of: dict[str, tuple[int, Callable[[Motion], Array]]] = {  # number of hats, and the values
+        "speed": (6, lambda m: m.v),
+        "yaw_rate": (6, lambda m: m.omega),
+        "acceleration": (6, lambda m: m.a),
+        "lateral_acceleration": (6, lambda m: np.abs(m.v * m.omega)),
+        "yaw_acceleration": (6, lambda m: m.alpha),
+        "time": (8, lambda m: m.t_s),
+        "distance": (8, lambda m: m.distance),
     }
     if sideways:
-        of["sideways_speed"] = lambda m: m.vy
+        of["sideways_speed"] = (6, lambda m: m.vy)
     regressors: dict[str, Callable[[Motion], tuple[Array, Array]]] = {}
-    for name, value in of.items():
+    for name, (hats, value) in of.items():
         moving = np.concatenate([value(m)[m.speed > 0.02] for m in motions])
         if len(moving) < 100:
             continue
-        knots = _apart(np.quantile(moving, np.linspace(0.02, 0.98, _HATS[name])))
+        knots = _apart(np.quantile(moving, np.linspace(0.02, 0.98, hats)))
         if len(knots) > 2:
             regressors[name] = lambda m, v=value, k=knots: (_linear_hats(v(m), k), k)  # type: ignore[misc]
     if not placed:

@@ -17,18 +17,24 @@ from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import numpy as np
 
+from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, choices, shapes
 from odomcorrupt.effects.expression import UserEffect, user_effect
+from odomcorrupt.effects.wheels import brings_track
 from odomcorrupt.rng import stream
+from odomcorrupt.study.estimate.drive_type import GAINS_OF_TURNS, MOUNTING, drive_type_of, mountings
+from odomcorrupt.study.estimate.regressors import drives_sideways
+from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.terms.basis import COEFFICIENTS, VALUES, BasisFunction
 from odomcorrupt.study.terms.channels import MOVES, Action, every_action, views
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Container, Iterator, Sequence
 
     from odomcorrupt.effects.effect import Effect, Motion
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.problem import Problem
+    from odomcorrupt.study.io.recording import Recording
 
 _KINDS = (len(VALUES.keys() - {"sideways_speed"}) + 2) * len(every_action())
 """Number of kinds of basis functions: regressors, place and heading, times actions. A robot that drives sideways has 13
@@ -113,10 +119,6 @@ class LibraryTerm:
             if getattr(self.start, word) != option
         ]
 
-    def related(self) -> list[LibraryTerm]:
-        """Return terms of other forms of the effect near this shape, too many to be tried at every shape."""
-        return [replace(self, start=effect) for effect in self.start.related()]
-
     def columns(self, problem: Problem) -> Array:
         """Return columns (K, 3, p), one for each amplitude."""
         return problem.columns(self.start)
@@ -143,11 +145,6 @@ class BasisTerm:
     def name(self) -> str:
         """Name of the effect: target and regressor."""
         return f"{self.action.target}_over_{self.function.regressor}"
-
-    @property
-    def of_time(self) -> bool:
-        """Whether it is a function of time."""
-        return self.function.regressor == "time"
 
     @property
     def start(self) -> UserEffect:
@@ -182,16 +179,14 @@ class BasisTerm:
     @property
     def shape(self) -> Array:
         """Shape parameters (s,) of the function and, if the action has one, its direction."""
-        return np.array([*self.function.shape, *self._toward], dtype=np.float64)
+        toward = [self.action.toward] if self.action.turn else []
+        return np.array([*self.function.shape, *toward], dtype=np.float64)
 
     @property
     def steps(self) -> Array:
         """First steps (s,)."""
-        return np.array([*self.function.steps, *(self.action.turn for _ in self._toward)], dtype=np.float64)
-
-    @property
-    def _toward(self) -> tuple[float, ...]:
-        return (self.action.toward,) if self.action.turn else ()
+        turn = [self.action.turn] if self.action.turn else []
+        return np.array([*self.function.steps, *turn], dtype=np.float64)
 
     def with_shape(self, shape: Sequence[float]) -> BasisTerm:
         """Return the term at another shape."""
@@ -251,3 +246,44 @@ def neighbours(term: T, scale: float) -> Iterator[T]:
             shape = term.shape
             shape[i] += sign * scale * step
             yield term.with_shape(shape.tolist())
+
+
+def library_families(
+    recordings: Sequence[Recording], motions: Sequence[Motion], have: Container[str]
+) -> list[tuple[LibraryTerm, ...]]:
+    """Return every systematic library effect that a robot can have and that can be tested, at every shape.
+
+    Clocks are excluded. Of aliases only one is tested and the others are reported as other readings; if that one is no
+    effect of this drive type, its alias is tested. Effects of single wheels need a track, given or as a parameter,
+    effects of places and headings a frame that all recordings share.
+
+    motions : smooth motions of the recordings
+    have : names of effects that are already in the model
+    """
+    drive = drive_type_of(recordings)
+    track = not drive.steered and all(m.track_m is not None for m in motions)
+    sideways = drive.name == "omni" or (drive.name != "differential" and drives_sideways(motions))
+    placed = shared_frame(recordings) is not None
+    families = []
+    for name, kind in registry().items():
+        # a lever arm has two parameters, so its one-parameter alias for steered robots is tested too; but not with an
+        # antenna, which is likelier off the axle than the base frame is
+        of_steered = drive.steered and kind.drives is not None and not drive.antenna
+        alone = kind.aliased_with is None or of_steered or name == GAINS_OF_TURNS.get(drive.heading_source)
+        wanted = kind.kind not in ("noise", "event") and not kind.clock and name not in have
+        wanted = wanted and alone and drive.admits(kind)
+        possible = (sideways or not kind.needs_sideways) and (track or not kind.needs_track or brings_track(kind))
+        possible = possible and (placed or not kind.reads_places)
+        if name in MOUNTING and name not in mountings(recordings):
+            continue
+        if wanted and possible:
+            family = LibraryTerm.family(kind, motions)
+            if source := drive.heading_source:
+                family = tuple(t for t in family if getattr(t.start, "heading", source) == source)
+            if drive.steered:  # its odometry does not compare two wheels: one travel turns the robot, too
+                values = {"track": 0.0} if brings_track(kind) else {}
+                tracked = (replace(t, start=replace(t.start, **values)) for t in family)  # type: ignore[type-var]
+                family = tuple(dict.fromkeys(tracked))
+                family = () if kind.needs_track else family
+            families.append(family)
+    return [family for family in families if family]

@@ -31,16 +31,11 @@ from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.encoders import restore_lost, thinned
 from odomcorrupt.study.io.headings import with_headings, with_recomputed_headings
 from odomcorrupt.study.io.recording import was_fitted
+from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.validate.calibration import CURVE_M, HORIZONS_M, Horizon
 from odomcorrupt.study.validate.cross_validation import HELD_BY, split_of
 from odomcorrupt.study.validate.evaluation import Evaluation, LogScore, evaluate_stretch, horizons_of, log_score_of
-from odomcorrupt.study.validate.goodness_of_fit import (
-    PRACTICAL_FACTOR,
-    Verdict,
-    pits_of,
-    verdict_of,
-    whiteness_of,
-)
+from odomcorrupt.study.validate.goodness_of_fit import PRACTICAL_FACTOR, Verdict, pits_of, verdict_of, whiteness_of
 from odomcorrupt.study.validate.lack_of_fit import Failure, drift_failures, failures, sudden_failures
 from odomcorrupt.study.validate.trajectory_error import TrajectoryError, trajectory_error
 
@@ -370,10 +365,9 @@ def without_effects_of(model: MotionModel, recordings: Sequence[Recording]) -> l
 
 Change = Literal["better", "worse", "same"]
 
-_ERROR_SHARE = 0.02
-"""Smaller relative changes of the position error after 10 s count as none (many windows, small scatter)."""
-_TRAJECTORY_SHARE = 0.1
-"""The same for the absolute trajectory error, which is one number per drive and scatters more."""
+_ERROR_SHARE, _TRAJECTORY_SHARE = DECISIONS.practical.share, DECISIONS.practical.far_share
+"""Smaller relative changes of the position error after 10 s count as none (many windows, small scatter); the same for
+the absolute trajectory error, which is one number per drive and scatters more."""
 _SIGMAS = 2.0
 """Standard errors by which a log likelihood must change to count as different."""
 

@@ -259,26 +259,17 @@ def _own_truth(intervals: Intervals, q: Array, stated: TruthNoise, recording: Re
 
     Noise of a truth is no property of the robot: a model may be fitted to motion capture and evaluated on AMCL. It must
     not absorb the robot's errors either. It is therefore estimated without the few outlying intervals, and bounded by
-    the noise that the truth's own samples show.
+    the noise that the truth's own samples show, if its errors are not correlated from sample to sample, as those of a
+    localisation, of matched scans and of other odometry are. Satellite reception may differ between drives, so the
+    bound is at least the stated noise.
     """
     own, usual = _robust_truth(intervals, q, recording)
-    own = TruthNoise(*map(min, astuple(own), _max_noise(recording, stated)))
+    if recording.headed and recording.truth.covariance is None and not recording.localised:
+        x, y, yaw = (_MAX_NOISE_RATIO * truth_noise(recording.truth)).tolist()
+        xy = float(np.hypot(x, y)) / np.sqrt(2.0)
+        own = TruthNoise(*map(min, astuple(own), map(max, (xy, yaw, xy), astuple(stated))))
     nats = _nats(intervals, usual, own, recording) - _nats(intervals, usual, stated, recording)
     return own if nats > _MIN_NATS_PER_INTERVAL * len(intervals) else stated
-
-
-def _max_noise(recording: Recording, stated: TruthNoise) -> Sequence[float]:
-    """Return upper bounds (3,) of a truth's noise from its own samples; infinite if they do not show it.
-
-    Errors of a localisation, of matched scans and of other odometry are correlated from sample to sample. Satellite
-    reception may differ between drives, so the bound is at least the stated noise.
-    """
-    truth = recording.truth
-    if recording.localised or truth.covariance is not None or not recording.headed:
-        return (np.inf,) * 3
-    x, y, yaw = (_MAX_NOISE_RATIO * truth_noise(truth)).tolist()
-    xy = float(np.hypot(x, y)) / np.sqrt(2.0)
-    return [max(pair) for pair in zip((xy, yaw, xy), astuple(stated), strict=True)]
 
 
 def _nats(intervals: Intervals, q: Array, truth: TruthNoise, recording: Recording) -> float:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.io.recording import Recording
-    from odomcorrupt.study.select.dependence import Dependence
+    from odomcorrupt.study.select.candidates import Dependence
     from odomcorrupt.study.select.result import Learned
     from odomcorrupt.study.validate.evaluation import Evaluation
 

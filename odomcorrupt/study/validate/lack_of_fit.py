@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 from scipy.stats import chi2, norm
 
+from odomcorrupt.study.terms.basis import STILL
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
@@ -27,8 +29,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.calibration import Horizon
 
 CHANNELS = ("along", "across", "yaw")
-MOVING = 0.02
-"""Speed below which the robot counts as at rest, m/s."""
 
 
 class IntervalMotion(NamedTuple):
@@ -142,7 +142,7 @@ def all_patterns(motion: IntervalMotion) -> list[Pattern]:
 
 def _kinds_of_motion(m: IntervalMotion) -> Iterator[Pattern]:
     speed = np.abs(m.v)
-    moving = speed > MOVING
+    moving = speed > STILL
     curvature = np.where(moving, m.omega / np.where(moving, m.v, 1.0), 0.0)
     turning = moving & (np.abs(curvature) > _TURN_PER_M)
     fast = float(np.median(speed[moving])) if moving.any() else 0.0
@@ -153,7 +153,7 @@ def _kinds_of_motion(m: IntervalMotion) -> Iterator[Pattern]:
         "in left turns": turning & (m.omega > 0.0),
         "in right turns": turning & (m.omega < 0.0),
         "on straights": moving & ~turning,
-        "in reverse": m.v < -MOVING,
+        "in reverse": m.v < -STILL,
         "at the faster speeds": moving & (speed > fast),
         "at the slower speeds": moving & (speed <= fast),
         "while speeding up": moving & (speeding > _MIN_ACCELERATION),

@@ -250,11 +250,8 @@ def _replaced(recording: Recording, stretches: Sequence[Event]) -> Recording:
     inside = np.zeros(len(own), dtype=bool)
     for event in stretches:
         inside |= (t_s[1:] > event.start_s) & (t_s[:-1] < event.end_s)
-    mixed = (
-        np.where(inside, there, here)
-        for here, there in ((own.ds_m, true.ds_m), (own.dl_m, true.dl_m), (own.dtheta_rad, true.dtheta_rad))
-    )
-    path = accumulate(recording.odometry.xyt[0], Increments(*mixed))
+    mixed = Increments.of_rows(np.where(inside[:, None], true.rows, own.rows))
+    path = accumulate(recording.odometry.xyt[0], mixed)
     return replace(recording, odometry=Trajectory(recording.odometry.stamps_ns, path))
 
 

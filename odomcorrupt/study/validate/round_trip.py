@@ -74,7 +74,12 @@ def verified_model(model: MotionModel, recordings: Sequence[Recording]) -> Round
     left_out: dict[str, str] = {}
     model = _within_bounds(model, changes)
     while failure := _failure(model, drives):
-        fewer = [_without(model, effect) for effect in _weakest_first(model)]
+        # dependences, random effects, others, the latest first
+        latest = model.effects[::-1]
+        laws = [effect for effect in latest if isinstance(effect, UserEffect)]
+        random = [effect for effect in latest if effect.kind == "noise" and effect.acts]
+        others = [effect for effect in latest if effect not in (*laws, *random)]
+        fewer = [_without(model, effect) for effect in (*laws, *random, *others)]
         # If leaving out no single effect helps, the weakest is dropped, and others are tried.
         repaired, change = next((one for one in fewer if not _failure(one[0], drives)), fewer[0])
         changes.append(f"{change}: {failure}")
@@ -255,11 +260,3 @@ def _without(model: MotionModel, effect: Effect) -> tuple[MotionModel, str]:
     text = f", {effect.expression.text}" if isinstance(effect, UserEffect) else ""
     others = tuple(e for e in model.effects if e is not effect)
     return replace(model, effects=others), f"{effect.name} ({numbers}{text}) left out"
-
-
-def _weakest_first(model: MotionModel) -> list[Effect]:
-    """Return the effects in the order in which they are dropped: dependences, random effects, others, latest first."""
-    latest = model.effects[::-1]
-    laws = [effect for effect in latest if isinstance(effect, UserEffect)]
-    random = [effect for effect in latest if effect.kind == "noise" and effect.acts]
-    return [*laws, *random, *(effect for effect in latest if effect not in (*laws, *random))]
