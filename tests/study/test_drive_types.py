@@ -14,7 +14,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import Increments, accumulate
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.study.design.identifiability import untried
+from odomcorrupt.study.design.advise import untried
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.drive_type import drive_type_of, readings_of
@@ -23,8 +23,8 @@ from odomcorrupt.study.estimate.regressors import MotionSmoother
 from odomcorrupt.study.io import Source
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.random_effects import random_coefficients
-from odomcorrupt.study.select.screening import CoarseDesign
 from odomcorrupt.study.select.selection import learn
+from odomcorrupt.study.select.shape_search import CoarseDesign
 from odomcorrupt.study.terms.term import library_families
 
 OFFSET_RAD, BAND_MPS, SAG_PER_S, LIMIT_MPS, PLAY_M, TICK_MPS = 0.02, 0.03, 2.5e-4, 0.2, 0.008, 0.03

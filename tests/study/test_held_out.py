@@ -40,16 +40,13 @@ from odomcorrupt.study.select.dictionary import families
 from odomcorrupt.study.select.evidence import FOLDS, Evidence, Search
 from odomcorrupt.study.select.random_effects import DetectedRandomEffect
 from odomcorrupt.study.select.result import Learned, Step
-from odomcorrupt.study.select.screening import CoarseDesign
 from odomcorrupt.study.select.selection import learn
-from odomcorrupt.study.select.shape_search import ShapeSearch
+from odomcorrupt.study.select.shape_search import CoarseDesign, ShapeSearch
 from odomcorrupt.study.terms.basis import basis_functions
 from odomcorrupt.study.terms.channels import actions_on, every_action
-from odomcorrupt.study.terms.library import library_families
 from odomcorrupt.study.terms.splines import curve_regressors
-from odomcorrupt.study.terms.term import BasisTerm, neighbours
-from odomcorrupt.study.validate.compare import compare
-from odomcorrupt.study.validate.evaluation_clocks import clocks_beside
+from odomcorrupt.study.terms.term import BasisTerm, library_families, neighbours
+from odomcorrupt.study.validate.compare import clocks_beside, compare
 from odomcorrupt.study.validate.held_out import drop_unsupported_parts, without_parts
 from odomcorrupt.study.validate.round_trip import RoundTrip, _corrected_error, _drive, _fitted_error, verified_model
 

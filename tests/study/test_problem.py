@@ -26,8 +26,7 @@ from odomcorrupt.study.estimate.regressors import MotionSmoother, choose_side
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.io.headings import with_headings
 from odomcorrupt.study.io.recording import Recording
-from odomcorrupt.study.validate.compare import compare
-from odomcorrupt.study.validate.evaluation_clocks import clocks_beside
+from odomcorrupt.study.validate.compare import clocks_beside, compare
 
 EFFECTS = (effect_from_values("wheel_scale", {"e": 0.02}), effect_from_values("accel_slip", {"k": 0.01}))
 
