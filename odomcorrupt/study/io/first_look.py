@@ -62,6 +62,8 @@ _LOST = 2.0
 """Turn between messages, rad, beyond which many exceed half a turn and are lost."""
 _FAST_MPS, _ROBOT_MPS = 60.0, 10.0
 """Speed that no robot has, and one that few have."""
+_PLAIN_RADPS = 0.03
+"""Yaw rate at rest of a gyro that was not zeroed; drift is ten times slower."""
 _DEGREE = 180.0 / np.pi
 COURSES = {
     1.0: ("like", "", ""),
@@ -587,6 +589,7 @@ def _factor_of_course(look: Look, i: int, beside: Array | float) -> float | None
     if line and look.headed and turn.sure:
         best = int(np.argmin(np.abs(np.array(list(COURSES)) - turn.value)))
     k = list(COURSES)[best]
+    k = 0.0 if abs(k) < 0.1 and fits[-1] > fits[best] - 0.02 else k
     # how many times worse each path follows its headings than this multiple of them
     doubts = [(1.0 - one.agreement[0]) / (1.001 - one.agreement[best]) for one in look.own]
     wrong = fits[0] < _CLEAR or (k != 0.0 and not sideways and doubts[i] > 4.0 > 4.0 * doubts[1 - i])
@@ -635,6 +638,8 @@ def _flips(look: Look, i: int) -> Figures | None:
     jumps = np.flatnonzero((turn > np.pi - 0.35) & (around < 0.35) & (step < 3.0 * np.percentile(step, 95.0)))
     if not path.headed or look.own[i].fixed > _FOLLOWS or not len(jumps):
         return None
+    if look.headed and abs(look.having(i, steady).correlations[2, 2]) < _UNCLEAR:
+        return None
     # headings that are courses jump where a robot backs up
     ends = np.clip(jumps + np.array(((-_FEWEST,), (0,), (1,), (1 + _FEWEST,))), 0, len(step))
     before, _, after = np.diff(path.xyz[ends, :2], axis=0)
@@ -644,9 +649,54 @@ def _flips(look: Look, i: int) -> Figures | None:
     rows = increments(path.trajectory().xyt).rows
     rows[:, 2] = np.diff(steady.yaw_rad)
     mended = _moved_by(path, rows)
-    if not look.headed or 1.0 - look.having(i, mended).turns_by(i, 1.0) > (1.0 - look.turns_by(i, 1.0)) / 2.0:
+    other = look.having(i, mended)
+    # where the other one backs up, headings are a course
+    if not look.headed or abs(other.correlations[0, 0]) < _CLEAR:
+        return None
+    if 1.0 - other.turns_by(i, 1.0) > (1.0 - look.turns_by(i, 1.0)) / 2.0:
         return None
     return {"i": i, "count": len(jumps), "how": "and so does its path, unlike the other's", "undo": lambda _: mended}
+
+
+def _folded(look: Look, i: int) -> Figures | None:
+    """Find headings within half a turn whose sign is lost, unlike that of the path's directions."""
+    path, (course, middle) = look.paths[i], _chords(look.paths[i].xyz[:, :2])
+    if not path.headed or len(course) < 3 * _FEWEST or path.yaw_rad.min() < -_BENT_RAD or np.ptp(path.yaw_rad) < 2.0:
+        return None
+    ways = np.array((course, wrap(course + np.pi)))  # ahead, and backwards
+    off = np.abs(np.abs(ways) - path.yaw_rad[middle])
+    side = np.sign(np.where(off[0] < off[1], *ways))
+    follows, beside = (one.agreement[0] > _FOLLOWS for one in (look.own[i], look.own[1 - i]))
+    far = np.percentile(off.min(axis=0), 80.0) > 2.0 * _BENT_RAD
+    if far or follows or (look.headed and not beside) or np.mean(side < 0.0) < _MOVING:
+        return None
+    nearest = np.searchsorted((middle[1:] + middle[:-1]) / 2.0, np.arange(len(path)))
+    return {"i": i, "undo": lambda path: replace(path, yaw_rad=side[nearest] * path.yaw_rad)}
+
+
+def _stale_headings(look: Look, i: int) -> Figures | None:
+    """Find headings that change at even times only, many messages apart."""
+    path = look.paths[i]
+    changes = np.flatnonzero(np.abs(wrap(np.diff(path.yaw_rad))) > 1e-9) + 1 if path.headed else np.zeros(0, dtype=int)
+    moves = np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1) > 0.0
+    if len(changes) < _FEWEST or np.add.reduceat(moves, changes[:-1]).mean() < _FEWEST / 2.0:
+        return None
+    every = np.diff(path.t_s[changes])
+    usual = float(np.median(every))
+    if usual < 0.5 or np.mean(np.abs(every / usual - np.rint(every / usual)) < _CLOSE) < _FOLLOWS:
+        return None
+    rows = increments(path.trajectory().xyt).rows
+    rows[:, 2] = np.diff(np.interp(path.t_s, path.t_s[changes], np.unwrap(path.yaw_rad)[changes]))
+    return {"i": i, "every": usual, "undo": lambda path: _moved_by(path, rows)}
+
+
+def _speeds_for_positions(look: Look) -> Figures | None:
+    """Find positions whose distance from zero is the truth's speed."""
+    (_, there, (starts, _)), path = look.motions, look.paths[0]
+    distance = np.interp(starts + look.window_s / 2.0, path.t_s, np.linalg.norm(path.xyz[:, :2], axis=1))
+    speed = np.hypot(there[:, 0], there[:, 1])
+    few = min(np.std(distance), np.std(speed)) < 1e-6 or look.correlations[0, 0] > _CLEAR
+    return None if few or np.corrcoef(distance, speed)[0, 1] < _FOLLOWS else {}
 
 
 def _ahead(look: Look, i: int, path: Samples) -> Samples:
@@ -718,6 +768,40 @@ def _upright(look: Look) -> Figures | None:
     return {"i": 1, "up": "xyz"[up], "plane": plane, "undo": undo}
 
 
+def _stretched(look: Look) -> Figures | None:
+    """Find positions of the truth that are farther apart along one axis than along the other."""
+    origin, times = int(look.paths[0].stamps_ns[0]), look.motions[2]
+    own, real = (
+        np.diff(
+            [np.interp(x, p.seconds_since(origin), p.xyz[:, :2] @ [1.0, 1j]) for x in (t, t + look.window_s)], axis=0
+        )[0]
+        for p, t in zip(look.paths, times, strict=True)
+    )
+    moves = moving(np.abs(own)) & moving(np.abs(real))
+    course, ratio = 2.0 * np.angle(real[moves]), np.abs(own[moves] / real[moves]) ** 2
+    design = np.column_stack((np.ones(len(course)), np.cos(course), np.sin(course)))
+    if len(course) < 3 * _FEWEST or _concentration(course) > _CLEAR:
+        return None
+    # 1 / factor^2 varies as (mean - wave) / (mean + wave) with twice the course
+    (mean, *waves), left = _linear(design, ratio[:, None])[0][0], np.abs(ratio - np.median(ratio))
+    wave, along = float(np.hypot(*waves)), float(np.arctan2(-waves[1], -waves[0])) / 2.0
+    left = np.median(np.abs(ratio - design @ [mean, *waves])) / max(float(np.median(left)), 1e-9)
+    if not _CLOSE * mean < wave < 0.99 * mean or left > _CLEAR:
+        return None
+    factor = float(np.sqrt((mean + wave) / (mean - wave)))
+    # the axis along which lengths agree is right
+    wrong = abs(np.log(mean + wave)) < abs(np.log(mean - wave))
+    axis = np.exp(1j * (along + (0.0 if wrong else np.pi / 2.0)))
+    by = (1.0 / factor if wrong else factor) - 1.0
+
+    def undo(path: Samples) -> Samples:
+        xy = path.xyz[:, :2] @ [1.0, 1j]
+        xy = xy + by * axis * (xy * np.conj(axis)).real
+        return replace(path, xyz=np.column_stack((xy.real, xy.imag, path.xyz[:, 2])))
+
+    return {"i": 1, "factor": factor, "along": f"{np.degrees(along) % 180.0:.0f}", "undo": undo}
+
+
 def _publishers(look: Look, i: int) -> Figures | None:
     """Find poses that jump and come back within some messages all the time."""
     xy = look.paths[i].xyz[:, :2]
@@ -776,7 +860,7 @@ def _rate(look: Look) -> Figures | None:
     least = max(0.7, near + 0.2)
     if abs(np.log(factor)) < _ALIKE / 2.0 and near < 0.7:
         i, factor, least = 0, 1.0, 0.95  # spans are equal if the last messages of one are missing
-        for reach in (0.2, 0.01):
+        for reach in (0.7, 0.035, 0.002):
             trials = factor * np.exp(np.linspace(-reach, reach, 41))
             factor = max(trials.tolist(), key=lambda k: alike(k, from_start=True))
     if abs(np.log(factor)) < _ALIKE / 2.0 or (mended := alike(factor, from_start=True)) < least:
@@ -792,9 +876,8 @@ def _bursts(look: Look, i: int) -> Figures | None:
     apart_s, moved = np.diff(path.t_s), np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
     ends = np.flatnonzero(apart_s > 2.0 * usual_s)
     few = len(ends) < max(FEWEST, len(path) / 200.0) or np.median(apart_s) > 0.1 * usual_s
-    # where poses are missing between bursts, it moves farther there
-    uneven = few or np.ptp(np.percentile(apart_s[ends], (5.0, 95.0))) > 1.0
-    if uneven or np.percentile(moved[ends], 90.0) > 3.0 * np.percentile(moved, 90.0):
+    # where poses are missing between bursts, it moves there
+    if few or np.ptp(np.percentile(apart_s[ends], (5.0, 95.0))) > 1.0 or moved[ends].sum() > 0.5 * moved.sum():
         return None
     stamps = np.round(np.interp(np.arange(len(path)), ends, path.stamps_ns[ends] - path.stamps_ns[0]))
     between = np.arange(ends[0], ends[-1] + 1)  # nothing shows when the first ones, and the last, were measured
@@ -809,10 +892,24 @@ def _late(look: Look) -> Figures | None:
     near = np.abs(corr.lag_s) <= CLOCK_S
     best, here = int(np.argmax(corr.both)), float(corr.both[near].max())
     most, lag_s = float(corr.both[best]), float(corr.lag_s[best])
-    if most < max(0.7, 2.0 * here, float(corr.mirrored[near].max()) + 0.02):
+    if most < max(0.7, here + 0.25, float(corr.mirrored[near].max()) + 0.02):
         return None
     words = {"off": f"{abs(lag_s):.1f}", "side": "behind" if lag_s > 0.0 else "ahead of", "shift": f"{lag_s:.1f}"}
     return {"i": 1, "best": most, "near": here, **words}
+
+
+def _turns_late(look: Look) -> Figures | None:
+    """Find turns that come later, or earlier, than the travel."""
+    path, truth = (p.trajectory() for p in look.paths)
+    corr = cross_correlation(path, truth, min(8.0, look.paths[0].span_s / 4.0))
+    turn_s, travel_s = (float(corr.lag_s[np.argmax(x)]) for x in (corr.turn, corr.speed))
+    late_s, t_s = turn_s - travel_s, look.paths[0].t_s
+    if abs(late_s) < 0.6 or min(corr.turn.max(), corr.speed.max()) < _FOLLOWS:
+        return None
+    rows = increments(path.xyt).rows
+    rows[:, 2] = np.diff(np.interp(t_s + late_s, t_s, np.unwrap(path.xyt[:, 2])))
+    words = {"late": f"{abs(late_s):.1f}", "side": "later" if late_s > 0.0 else "earlier"}
+    return words | {"undo": lambda path: _moved_by(path, rows)}
 
 
 _WHEELS = {
@@ -932,17 +1029,17 @@ def _turned_axes(look: Look) -> Figures | None:
 
 def _aside(look: Look) -> Figures | None:
     """Find travel sideways of another sign or size while travel forwards and turns agree."""
-    c, side = look.correlations, look.ratio(1)
+    c, side, v = look.correlations, look.ratio(1), look.scales[0]
     drives = all(np.std(x[:, 1]) > _MOVING * np.std(x[:, 0]) for x in look.windows[:2])
     clear = min(abs(c[1, 1]), c[0, 0], c[2, 2]) > _CLEAR and side.number >= _FEWEST and side.spread < 0.5
     if look.paths[1].headed and min(c[0, 0], c[2, 2]) > _CLEAR and not drives:
-        here, there, _ = look.windows
+        here, there = look.windows[0] * (v.value if v.sure else 1.0, 1.0, 1.0), look.windows[1]
         rest = np.abs(there[:, 1:2] - here[:, ::2] @ _linear(here[:, ::2], there[:, 1:2])[0].T)[:, 0]
         usual = np.percentile(np.abs(there[:, 0]), 80.0)
         # where headings of the truth are turned for a while, it moves sideways only as the odometry drives
         off = (rest > _MOVING * usual) & (rest < 2.0 * usual) & (np.abs(here[:, 0]) < rest / 2.0)
         return {"how": "never moves sideways, unlike"} if off.mean() > 0.02 and here[:, 1].std() < 0.1 * usual else None
-    size = abs(side.value) / look.scales[0].value
+    size = abs(side.value) / v.value
     wrong = not 1.0 / _SKIDS < size < _WRONG
     if not drives or not clear or not look.paths[1].headed or not (wrong or c[1, 1] < 0.0):
         return None
@@ -982,12 +1079,16 @@ def _overflows(look: Look, i: int) -> Figures | None:
         same = np.abs(jump - wheel_m) < 0.15 * wheel_m
         if same.sum() < 3:
             continue
+        # signed counts jump between the ends of their range, and are usually smaller
+        usual, most = np.percentile(np.abs(wheels), (50.0, 99.9)) / wheel_m
+        if signed := usual < 0.4 < most < 0.55:
+            wheel_m = 256.0 / 255.0 * 2.0 * most * wheel_m
         real = np.unwrap(wheels, period=wheel_m, axis=1)
         count = int(np.sum(np.abs(real - wheels) > wheel_m / 2.0))
         few = np.sum(jump > 0.3 * wheel_m) > 1.1 * same.sum() or np.percentile(np.abs(wheels), 99.0) > 1.2 * wheel_m
         few |= np.ptp(np.percentile(real, (5.0, 95.0), axis=1), axis=0).max() < 0.03 * wheel_m
         # headings that turn by more than half a turn reverse increments, whose size stays
-        few |= np.median(np.abs(np.diff(np.abs(wheels), axis=1))[same]) < 0.1 * wheel_m
+        few |= not signed and np.median(np.abs(np.diff(np.abs(wheels), axis=1))[same]) < 0.1 * wheel_m
         if 2 + 0.01 * len(rows) < count < 0.8 * len(rows) and not few:
             far = (np.abs(real - wheels) > wheel_m / 2.0).any(axis=0)
             rows[:, 0] = real.mean(axis=0)
@@ -1022,8 +1123,9 @@ def _counter(count: int, wheel_m: float, turn: float, increments_m: Array, rows:
     tick = float(np.median(gaps[gaps < 1.5 * gaps.min()])) if len(gaps) else np.inf
     bits = round(power := float(np.log2(max(wheel_m / tick, 1.0))))
     known = bits > 7 and abs(power - bits) < 0.02
-    width = f"2^{bits} ticks of {tick * 1e3:.3g} mm: a counter of {bits} bits" if known else "often 16 bits"
-    cause = f"a counter overflows: {width}"
+    cause = "a counter overflows (often of 8 or 16 bits), or is reset at stops"
+    if known:
+        cause = f"a counter overflows: 2^{bits} ticks of {tick * 1e3:.3g} mm: a counter of {bits} bits"
     if (every_s := np.diff(at_s)).min() > 0.5 and np.mean(np.abs(every_s - np.rint(every_s)) < 0.1) > 0.9:
         cause = "once a second: a time step is taken from the nanoseconds alone"
     return {"count": count, "size": size, "cause": cause, "undo": lambda path: _moved_by(path, rows)}
@@ -1091,17 +1193,26 @@ def _in_reverse(look: Look) -> Figures | None:
 
 
 def _limit(look: Look) -> Figures | None:
-    """Find odometry that keeps its largest speed where the truth is faster, and agrees below."""
-    here, there = (np.abs(x[:, 0]) for x in look.windows[:2])
-    top = float(np.percentile(here, 98.0))
-    at, below = here > 0.97 * top, (here > _MOVING * top) & (here < 0.97 * top)
-    if below.sum() < _FEWEST or at.mean() < _MOVING / 2.0:
-        return None
-    # in bends the outer wheel may be at its limit
-    far, usual = np.percentile(there[at] / here[at], (10, 50)), float(np.percentile(there[below] / here[below], 25.0))
-    if not 1.0 - _CLOSE < usual < 1.0 + _CLOSE or far[0] < usual + 0.05 or far[1] < usual + _CLOSE:
-        return None
-    return {"top": top / look.window_s, "far": float(far[1]), "share": f"{at.mean():.0%}"}
+    """Find odometry that keeps its largest speed, or curvature, where the truth has a larger one."""
+    used = moving(look.windows[0][:, 0])
+    own, real = (np.abs(x[used]) + 1e-9 for x in look.windows[:2])
+    for does, here, there in (
+        ("travels {:.3g} m/s", own[:, 0] / look.window_s, real[:, 0] / look.window_s),
+        ("turns {:.3g} rad per m", own[:, 2] / own[:, 0], real[:, 2] / real[:, 0]),
+    ):
+        top = float(np.percentile(here, 98.0)) if len(here) else 0.0
+        at, below = here > 0.97 * top, (here > _MOVING * top) & (here < 0.97 * top)
+        if below.sum() < _FEWEST or at.mean() < _MOVING / 2.0 or own[:, 0].sum() < _FEWEST * _ARM_M:
+            continue
+        # in bends the outer wheel may be at its limit
+        far, usual = np.percentile((there / here)[at], (10, 50, 90)), float(np.percentile((there / here)[below], 25.0))
+        agrees = abs(usual - 1.0) < _CLOSE
+        if does.startswith("turns"):  # windows of less curvature have parts at the limit
+            agrees, usual = bool(far[2] > 1.5 * far[0]), 1.0
+        if agrees and far[0] > usual + 0.05 and far[1] > usual + _CLOSE:
+            words = {"does": does.format(top), "verb": does.split()[0], "share": f"{at.mean():.0%}"}
+            return words | {"far": float(far[1])}
+    return None
 
 
 def _whole_steps(look: Look) -> Figures | None:
@@ -1115,9 +1226,14 @@ def _whole_steps(look: Look) -> Figures | None:
     turn = turn if len(turns) and np.mean(np.abs(turns / turn - np.rint(turns / turn)) < 0.02) > 0.99 else 0.0
     if step <= 0.01 * np.percentile(np.abs(rows[:, 0] / per), 90.0) or not look.scales[0].sure or look.sideways:
         return None
-    counted = step * np.concatenate(([0.0], np.cumsum(np.sign(rows[:, 0]) * per)))
-    steps, off = _Travel(path.t_s, counted[:, None]).within(starts, look.window_s)[:, 0], there[:, 0] - here[:, 0]
+    off = there[:, 0] - here[:, 0]
     used = moving(here[:, 0]) & (np.abs(off) <= 6.0 * np.median(np.abs(off)))
+    # cut towards zero, or down
+    sides = [np.sign(rows[:, 0]), np.abs(np.sign(rows[:, 0]))]
+    counted = [step * np.concatenate(([0.0], np.cumsum(side * per))) for side in sides]
+    both = _Travel(path.t_s, np.stack(counted, axis=1)).within(starts, look.window_s).T
+    down = int(np.argmax([np.corrcoef(x[used], off[used])[0, 1] if np.ptp(x[used]) > 0.0 else -1.0 for x in both]))
+    steps = both[down]
     # beside a scale error of some percent; windows overlap four times
     noise = 2.0 * float(np.std(off[used])) + 1e-9
     design = np.column_stack((here[used, 0], steps[used])) / noise
@@ -1134,6 +1250,7 @@ def _whole_steps(look: Look) -> Figures | None:
     if lost < max(0.25, 2.5 * error) or not near or lost * step < 0.04 * usual:
         return None
     mended = rows + np.sign(rows) * per[:, None] * lost * np.array((step, 0.0, turn))
+    mended[:, 0] = rows[:, 0] + sides[down] * per * lost * step
     said = f"{'speeds' if speeds else 'increments'} are whole steps of {1e3 * wheels * step:.3g} mm{'/s' * speeds}"
     return {"steps": said, "lost": f"{lost:.2f} +- {error:.2f}", "undo": lambda path: _moved_by(path, mended)}
 
@@ -1141,13 +1258,13 @@ def _whole_steps(look: Look) -> Figures | None:
 def _whole_positions(look: Look, i: int) -> Figures | None:
     """Find positions that are multiples of a step which is not small beside the travel between messages."""
     path, xy = look.paths[i], look.paths[i].xyz[:, :2]
-    low, high = sorted(step_of(x - x[0]) or 0.0 for x in xy.T)
+    high = max(step_of(x - x[0]) or 0.0 for x in xy.T)
     # usual travel between messages, of some seconds, so that a step is a small part of it
     every = min(max(int(4.0 * len(path) / path.span_s), 1), len(path) // 2)
     far = float(np.percentile(np.linalg.norm(xy[every:] - xy[:-every], axis=1), 90.0)) / every
-    if not high > 0.2 * far > 0.0 < low:
+    if not high > 0.2 * far > 0.0:
         return None
-    count = np.abs(np.rint(np.diff(xy, axis=0) / high))
+    count = np.abs(np.rint(np.diff(xy, axis=0) / high)) * ([step_of(x - x[0]) is not None for x in xy.T])
     # a drive along the axes at one speed has steps of one length, one after the other
     moves = np.any(count > 0.0, axis=1)
     if len(np.unique(count)) < 3 and np.mean(np.diff(moves)[moves[1:] | moves[:-1]]) < 0.5:
@@ -1162,8 +1279,12 @@ def _resets(look: Look, i: int) -> Figures | None:
     path = look.paths[0]
     rows = stretches(path, reach_of(path, path)).rows if i == 0 and len(path) >= FEWEST else ()
     far = {int(own[0]): float(np.linalg.norm(path.xyz[own[0]] - path.xyz[own[0] - 1])) for own in rows[1:]}
-    jumps = [f"{metres:.2f} m at {path.t_s[k]:.0f} s" for k, metres in far.items() if metres > 3.0 * _ARM_M]
-    return {"where": ", ".join(jumps), "undo": lambda path: path} if 0 < len(jumps) <= _FEWEST else None
+    jumps = {k: metres for k, metres in far.items() if metres > 3.0 * _ARM_M}
+    where = ", ".join(f"{metres:.2f} m at {path.t_s[k]:.0f} s" for k, metres in jumps.items())
+    causes = ["the node or the board was restarted; a counter was reset", "counts or speeds are read as unsigned"]
+    alike = len(jumps) > 1 and max(jumps.values()) < (1.0 + _ALIKE / 2.0) * min(jumps.values())
+    said = "; ".join(causes[:: -1 if alike else 1])
+    return {"where": where, "causes": said, "undo": lambda path: path} if 0 < len(jumps) <= _FEWEST else None
 
 
 def _repeated(look: Look) -> Figures | None:
@@ -1209,11 +1330,41 @@ def _without(look: Look, i: int, lost: NDArray[np.bool_]) -> Callable[[Samples],
     return lambda path: path.only(np.interp(path.seconds_since(origin), middle_s, lost) < 0.5)
 
 
+def _other_way_round(look: Look) -> Figures | None:
+    """Find turns that differ from the truth's by whole turns in all, made in a while."""
+    (here, there, (starts, _)), t_s = look.motions, look.paths[0].t_s
+    seen = np.diff(np.searchsorted(t_s, (starts, starts + look.window_s)), axis=0)[0] > 1
+    off = (here - there)[:, 2] * seen
+    whole, lost = np.cumsum(off[::4]), np.abs(off) > 3.0 * _BENT_RAD  # windows overlap four times
+    count = round(float(np.ptp(whole)) / (2.0 * np.pi)) if len(whole) else 0
+    opposite = np.sum((here * there)[lost, 2]) < 0.0 and np.median(np.abs(off)) < _BENT_RAD
+    if not look.headed or not count or _concentration(whole) < 0.8 or not opposite:
+        return None
+    return {"count": count, "undo": _without(look, 0, lost)}
+
+
+def _turns_at_rest(look: Look) -> Figures | None:
+    """Find odometry that turns at one rate while the truth stands."""
+    here, there, _ = look.motions
+    rest = (np.abs(there) < 0.02 * np.percentile(np.abs(there), 95.0, axis=0).max(initial=1e-9)).all(axis=1)
+    turned = here[rest, 2] / look.window_s
+    rate = float(np.median(turned)) if rest.sum() >= _FEWEST else 0.0
+    if not look.headed or abs(rate) < _PLAIN_RADPS or np.percentile(np.abs(turned - rate), 80.0) > _CLOSE * abs(rate):
+        return None
+    rows = increments(look.paths[0].trajectory().xyt).rows - rate * np.diff(look.paths[0].t_s)[:, None] * [
+        0.0,
+        0.0,
+        1.0,
+    ]
+    return {"rate": float(np.degrees(rate)), "undo": lambda path: _moved_by(path, rows)}
+
+
 def _one_curvature(look: Look) -> Figures | None:
     """Find odometry that keeps one curvature for long, as of a dead gyro or wheel, while the truth turns otherwise."""
     _, there, (starts, _) = look.motions
     path = travel_of(look.paths[0], int(look.paths[0].stamps_ns[0]))
-    here = path.within(starts, look.window_s)
+    v = look.scales[0].value if look.scales[0].sure else 1.0
+    here = path.within(starts, look.window_s) * [v, v, 1.0]
     # poses that are left out make one even motion
     seen = np.diff(np.searchsorted(path.t_s, (starts, starts + look.window_s)), axis=0)[0] > 1
     speeds = [np.hypot(x[:, 0], x[:, 1]) for x in (here, there)]
@@ -1223,6 +1374,7 @@ def _one_curvature(look: Look) -> Figures | None:
     turning = np.abs(here[:, 2]) > 1e-6
     ahead = turning & moves & (np.abs(here[:, 0]) > np.abs(here[:, 1]))
     bend = _densest(here[ahead, 2] / here[ahead, 0], usual)
+    bend *= abs(bend) > _CURVED_RADPM  # a wheel is nearer than 2 m
     rate = _densest(here[turning, 2], usual)
     arcs = f"drives arcs of {1.0 / max(abs(bend), 1e-6):.2g} m to the {'left' if bend > 0.0 else 'right'}"
     quiet = 1e-6 + 0.02 * float(np.percentile(np.abs(there[:, 2]), 95.0))
@@ -1294,7 +1446,15 @@ def _turns_otherwise(look: Look) -> Figures | None:
     corr = float(look.correlations[2, 2])
     few = look.sizes[1][:2].min() < _FEW_TURNS or moving(look.windows[1][:, 0]).sum() < 5 * _FEWEST
     even = look.scales[0].spread < (2.0 if look.paths[1].headed else 4.0) * _ALIKE
-    return None if few or abs(corr) > _UNCLEAR or not even else {"corr": corr}
+    return None if few or abs(corr) > _UNCLEAR or corr == 0.0 or not even else {"corr": corr}
+
+
+def _travels_otherwise(look: Look) -> Figures | None:
+    """Find odometry whose travel has nothing to do with the truth's."""
+    corr, (own, real) = float(look.correlations[0, 0]), (np.hypot(*x[:, :2].T) for x in look.windows[:2])
+    drives = look.headed and moving(real).sum() >= 5 * _FEWEST and look.sizes[1][:2].min() > _FEW_TURNS
+    unlike = np.abs(look.correlations[:2, :2]).max() < _UNCLEAR
+    return {"corr": corr} if drives and unlike and np.median(np.abs(own - real)) > 2.0 * _CLOSE * real.mean() else None
 
 
 def _unit_of_lengths(look: Look) -> Figures | None:
@@ -1318,6 +1478,7 @@ def _ratios(look: Look, travel: bool, turn: bool, *, alike: bool = False) -> Fig
     wrong = v.beyond(_WRONG) or (same and w.beyond(_WRONG))
     turns = w.beyond(_WRONG, _WRONG if wrong else _SKIDS) or (same and wrong)
     few = not w.sure and (look.sizes[1][:2].max() > _FEW_TURNS or v.spread > 2.0 * _ALIKE or look.sideways)
+    few = few and not (v.beyond(2.0 * _SKIDS) and v.spread < _ALIKE)
     if (wrong, turns) != (travel, turn) or same is not alike or few:
         return None
     gains = v.value if travel else 1.0, v.value if alike else w.value if turn else 1.0
@@ -1337,7 +1498,6 @@ def _ratios(look: Look, travel: bool, turn: bool, *, alike: bool = False) -> Fig
         "v": gains[0], "gains": gains, "separation": separation, "sides": beside,
         "agree": f"turns {'agree' if w.sure else 'are too few to compare'}",
         "track": f" ({look.track_m:.4g} -> {look.track_m * separation:.4g} m)" if look.track_m else "",
-        "truth": "; or lengths of the truth in another unit" if gains[0] > 1.0 else "",
         "undo": _by((gains[0], *gains)),
     }  # fmt: skip
 
@@ -1386,14 +1546,17 @@ PATTERNS = (
     Pattern("inverse", "{who}: the inverses of its poses, not these, move as {other} does",
             "the fixed frame in the moving one is published (base -> odom, map in camera)",
             "invert the transform before publishing", "its poses are inverted", _inverse, alone=True),
+    Pattern("speeds for positions", "{who}: its positions are speeds or steps: their size is {other}'s speed",
+            "the sum over time is left out", "publish the sum, or make poses of its twists with `odomcorrupt "
+            "integrate`", "", _speeds_for_positions),
+    Pattern("publishers", "{who}: {share} of its poses jump by {far} m and back within {few} messages",
+            "several robots or publishers on one topic", "give each its own topic", "", _publishers, alone=True),
     Pattern("overflow", "{who}: {count} jumps of the same size, {size} of one wheel",
             "{cause}", "subtract counts as signed integers of the counter's width, and stamps as whole numbers",
             "the jumps are taken out", _overflows, alone=True),
-    Pattern("publishers", "{who}: {share} of its poses jump by {far} m and back within {few} messages",
-            "several robots or publishers on one topic", "give each its own topic", "", _publishers, alone=True),
     Pattern("resets", "{who}: its pose jumps by {where}, and goes on from there",
-            "the node or the board was restarted; a counter was reset; a speed is read as unsigned",
-            "keep pose and counts over a restart", "the parts are recordings of their own", _resets, alone=True),
+            "{causes}", "keep pose and counts over a restart", "the parts are recordings of their own", _resets,
+            alone=True),
     Pattern("quaternion without w",
             "{who}: its orientations are no unit quaternions (w is 0 or 1 in all): its headings are wrong",
             "w was never set beside z = sin(yaw / 2)",
@@ -1402,6 +1565,11 @@ PATTERNS = (
     Pattern("steps and headings", "{who}: its path turns {times} its headings, and its {which} as {other}",
             "{causes}", "convert angles once, before quaternions, sines and cosines; turn a compass by 90 deg - yaw; a "
             "column's name says its unit (yaw_deg, yaw_rad)", "{then}", _steps_and_headings, alone=True),
+    Pattern("folded headings", "{who}: its headings stay within half a turn, its path goes to both sides of it",
+            "an arc cosine", "take atan2 of both components", "the path's side is their sign", _folded, alone=True),
+    Pattern("stale headings", "{who}: its headings change every {every} s, and stay between messages meanwhile",
+            "a compass, or another source of headings, that is slower than the odometry, and late",
+            "turn by wheels or a gyro meanwhile", "headings are interpolated", _stale_headings, alone=True),
     Pattern("flips", "{who}: its headings jump by 180 deg {how} ({count} times)",
             "an arc cosine or tangent of one argument; an angle modulo 180 deg, or 180 for 360 at its wrap; markers "
             "that a tracker confuses; the frame of a wheel, which rolls",
@@ -1412,6 +1580,9 @@ PATTERNS = (
     Pattern("plane", "{who}: moves in its {plane} plane, not in x-y: {up} points up there",
             "axes of a camera or of a game", "turn it so that z points up",
             "turned so; its positions alone are used", _upright),
+    Pattern("stretched", "{who}: its lengths are {factor} times as long along one axis, {along} deg from x, as across",
+            "degrees of longitude taken as long as those of latitude, without its cosine; pixels that are not square",
+            "convert each axis to metres", "its positions are mended", _stretched),
     Pattern("headings of the truth", "{who}: its headings do not follow its own path: they {what}",
             "its attitude turns about another axis (y up); orientation not estimated; another body",
             "publish yaw about z", "its positions alone are used", lambda look: _unrelated(look, 1)),
@@ -1424,6 +1595,14 @@ PATTERNS = (
             "{who}: its clock is {off} s {side} the odometry's (motions correlate by {best} there, by {near} as they "
             "are)", "clocks that are not synchronised; one of the files began later", "give --truth-shift {shift}", "",
             _late),
+    Pattern("late turns", "{who}: its turns come {late} s {side} than its travel",
+            "a queue of a gyro's messages, or of one board's, that are stamped on arrival; a filter",
+            "stamp each message when measured, and read the last one", _UNDONE, _turns_late),
+    Pattern("other way round", "{who} turns the other way round, by 360 deg in all, {count} times",
+            "angles are averaged or filtered across +-180 deg", "wrap differences of angles before filtering them",
+            "these stretches are left out", _other_way_round),
+    Pattern("turns at rest", "{who} turns by {rate} deg/s while {other} stands",
+            "a gyro that was not zeroed, or zeroed while the robot turned", "zero it at rest", _UNDONE, _turns_at_rest),
     Pattern("stands still", "{who} stands still for {lost} s while {other} moves ({share} of its motion)",
             "a driver that lost its wheels, or a tracker its target, and repeats a message; wheels "
             "that spin, or odometry of commands, while the robot is blocked", _RECORD,
@@ -1445,9 +1624,9 @@ PATTERNS = (
             "leave it out, or apply it at rest alone", "it is part of the model",
             lambda look: {"rate": float(np.degrees(band)), "dead_band_radps": band, "undo": lambda path: path}
             if (band := yaw_dead_band(*look.paths)) else None),
-    Pattern("limit", "{who} goes {top} m/s at most, in {share} of its time; the truth travels {far} times as far "
-            "then, and agrees at lower speeds", "ticks lost above a speed; a counter or a message that saturates",
-            "count by hardware, or with fewer ticks; a wider type; " + _RECORD, "", _limit),
+    Pattern("limit", "{who} {does} at most, in {share} of its motion; the truth {verb} {far} times as far then",
+            "ticks lost above a speed; a counter, a message or a steering angle's sensor that saturates",
+            "count by hardware, or with fewer ticks; a wider type or range; " + _RECORD, "", _limit),
     Pattern("wheel gains", "{who} moves as with wheels {each} (this explains {explained})",
             "{cause}", "{change}", "{then}", _wheel_gains),
     Pattern("in reverse", "{who}: in reverse {other} travels {v} and turns {w} times as far as it, relative to ahead",
@@ -1472,8 +1651,12 @@ PATTERNS = (
             lambda look: _one_way(look, 2)),
     Pattern("turns otherwise",
             "{who} travels as the truth does, but its turns do not follow the truth's (correlation {corr})",
-            "degrees given to a tangent or sine; the angle of another joint or axis; a truth of a point far from the "
-            "axle, without headings", _RECORD, "", _turns_otherwise),
+            "degrees given to a tangent or sine; a compass beside iron; a dead zone of slow wheels or turns; the angle "
+            "of another joint or axis; a truth of a point far from the axle, without headings", _RECORD, "",
+            _turns_otherwise),
+    Pattern("travels otherwise", "{who}: its travel does not follow the truth's (correlation {corr})",
+            "counts that overflow all the time (8 or 16 bits); totals that are added as increments; another robot",
+            "subtract counts as signed integers of the counter's width; " + _RECORD, "", _travels_otherwise),
     Pattern("sideways", "{who} {how} {other}; forwards they agree",
             "two wheels are exchanged; the sideways part of the kinematics has another sign or factor, or is left out",
             "mend the sideways part", _UNDONE, _aside),
@@ -1487,8 +1670,9 @@ PATTERNS = (
             "wheel separation (or steering ratio, or gyro scale) wrong by this factor{hint_turn}",
             "`wheel_separation` x {separation}{track}", _KEPT, lambda look: _ratios(look, False, True)),
     Pattern("travel", "{who} travels {travels} the truth; {agree}",
-            "gear ratio, ticks per turn or wheel radius, and headings from a gyro{hint}{truth}",
-            "`wheel_radius` x {v}", _KEPT, lambda look: _ratios(look, True, False)),
+            "gear ratio, ticks per turn or wheel radius, and headings from a gyro{hint}; or lengths of the truth in "
+            "another unit, or without scale (one camera)", "`wheel_radius` x {v}", _KEPT,
+            lambda look: _ratios(look, True, False)),
     Pattern("travel and turns", "{who} travels {travels} the truth, and turns {turns} it",
             "wheel radius (gear ratio, ticks per turn){hint}, and wheel separation{hint_turn}",
             "`wheel_radius` x {v}, `wheel_separation` x {separation}{track}", _KEPT,

@@ -237,6 +237,7 @@ def check_together(here: Samples, there: Samples) -> None:
         raise RecordingError(
             f"{there.place}: does not move as {here.name} does (speeds correlate by {corr.speed.max():.2f}, yaw rates "
             f"by {corr.turn.max():.2f}, at the best shift of up to {reach_s:.0f} s): it is of another drive or of "
-            "another robot, less accurate than the motion (GPS without corrections), its clock is farther off, or one "
-            "of them is computed wrongly (steering angles in degrees); name the truth of this run"
+            "another robot, less accurate than the motion (GPS without corrections), a correction (map -> odom), its "
+            "clock is farther off, or one of them is computed wrongly (steering angles in degrees); name the truth of "
+            "this run"
         )

@@ -32,6 +32,8 @@ followed by lost ones, look like a step for as long as they queued."""
 _BESIDE = 5
 """Intervals of steady motion at a regular rate required on each side of a gap, if there are no log times; localisation
 has no regular rate, because it waits for motion."""
+_MOST_STEPS = 10
+"""Most steps of a clock; more jumps of the stamps are those of messages that come in bursts."""
 _TOLERANCE = 0.3
 """Relative tolerance between a step of a single stamp and of the medians around it."""
 
@@ -102,7 +104,7 @@ def _steps_of_motion(path: Samples, interval: Array, usual_s: float) -> list[Ste
 def between_steps(path: Samples) -> list[Samples]:
     """Return the samples in order of arrival, split at the steps of their clock."""
     steps = clock_steps(path)
-    if not steps:
+    if not 0 < len(steps) <= _MOST_STEPS:
         return [path]
     start = int(path.stamps_ns[0])
     where = ", ".join(f"{s.by_s:+.3f} s at {(path.stamps_ns[s.row - 1] - start) * 1e-9:.1f} s" for s in steps)

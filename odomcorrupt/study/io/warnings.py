@@ -137,12 +137,22 @@ def without_course(odometry: Samples, truth: Samples) -> Samples:
     """
     if not truth.headed or truth.relative:
         return truth
-    here, there, _ = Look((odometry, truth)).motions
+    here, there, (starts, others) = Look((odometry, truth)).motions
     forwards = there[:, 0] > 0.5 * np.abs(here[:, 0])
     back, ahead = (forwards[moving(here[:, 0], side)] for side in (-1, 1))
     ahead_m, aside_m, _ = np.abs(there).sum(axis=0)
     enough = min(len(back), len(ahead)) >= 2 * _MIN_STEPS and aside_m < 0.5 * ahead_m
     if not enough or back.mean() <= _MOSTLY or ahead.mean() <= _NEARLY_ALL:
+        return truth
+    # a course turns by half a turn, unlike the odometry's heading, around where that begins or ends to back up
+    origin, moves = int(odometry.stamps_ns[0]), moving(here[:, 0])
+    turned = [
+        np.interp(t_s[moves], path.seconds_since(origin), np.unwrap(path.yaw_rad))
+        for path, t_s in ((odometry, starts), (truth, others))
+    ]
+    around = np.flatnonzero(np.diff(here[moves, 0] < 0.0)) + np.array(((-_MIN_STEPS,), (_MIN_STEPS,)))
+    before, after = (turned[1] - turned[0])[np.clip(around, 0, moves.sum() - 1)]
+    if np.median(np.cos(after - before)) > 0.0:
         return truth
     return truth.without_headings().noted(
         "its headings point to where it moves, also when the robot backs up: taken as positions alone"
