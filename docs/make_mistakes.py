@@ -65,11 +65,15 @@ OWN = {
         "then": "its headings are multiplied, or its path is made again of its steps and headings",
     },
     "in reverse": {"v": 1, "w": -1},
-    "overflow": {"cause": "a counter overflows: often 16 bits; or, once a second, a time step is taken from the "
-                          "nanoseconds alone"},
-    "bursts": {"few": 18, "apart": 0.6}, "resets": {"where": "4.99 m at 77 s"}, "slow turns": {"rate": 26},
+    "overflow": {"cause": "a counter overflows (often of 8 or 16 bits), or is reset at stops; once a second, a time step "
+                          "is taken from the nanoseconds alone"},
+    "bursts": {"few": 18, "apart": 0.6}, "slow turns": {"rate": 26},
+    "resets": {"where": "4.99 m at 77 s", "causes": "the node or the board was restarted; a counter was reset; counts "
+               "or speeds are read as unsigned"},
     "flips": {"how": "while its path goes on"},
-    "limit": {"top": 0.45, "share": "76%", "far": 2},
+    "limit": {"does": "travels 0.45 m/s", "verb": "travels", "share": "76%", "far": 2},
+    "stale headings": {"every": 2.0}, "turns at rest": {"rate": 4.1}, "other way round": {"count": 2},
+    "late turns": {"late": 1.5, "side": "later"}, "stretched": {"who": "/truth", "factor": 1.62, "along": 0},
     "publishers": {"share": "50%", "far": 1.4},
     "plane": {"who": "/truth"}, "headings of the truth": {"who": "/truth", "what": "are 0 or 180 deg alone"},
     "repeated poses": {"longest": 25.0, "count": 1},

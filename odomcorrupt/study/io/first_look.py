@@ -665,13 +665,10 @@ def _folded(look: Look, i: int) -> Figures | None:
         return None
     ways = np.array((course, wrap(course + np.pi)))  # ahead, and backwards
     off = np.abs(np.abs(ways) - path.yaw_rad[middle])
-    side = np.sign(np.where(off[0] < off[1], *ways))
     follows, beside = (one.agreement[0] > _FOLLOWS for one in (look.own[i], look.own[1 - i]))
     far = np.percentile(off.min(axis=0), 80.0) > 2.0 * _BENT_RAD
-    if far or follows or (look.headed and not beside) or np.mean(side < 0.0) < _MOVING:
-        return None
-    nearest = np.searchsorted((middle[1:] + middle[:-1]) / 2.0, np.arange(len(path)))
-    return {"i": i, "undo": lambda path: replace(path, yaw_rad=side[nearest] * path.yaw_rad)}
+    one_sided = np.mean(np.where(off[0] < off[1], *ways) < 0.0) < _MOVING
+    return None if far or follows or (look.headed and not beside) or one_sided else {"i": i}
 
 
 def _stale_headings(look: Look, i: int) -> Figures | None:
@@ -1081,7 +1078,7 @@ def _overflows(look: Look, i: int) -> Figures | None:
             continue
         # signed counts jump between the ends of their range, and are usually smaller
         usual, most = np.percentile(np.abs(wheels), (50.0, 99.9)) / wheel_m
-        if signed := usual < 0.4 < most < 0.55:
+        if signed := usual < 0.4 < most < 0.6:
             wheel_m = 256.0 / 255.0 * 2.0 * most * wheel_m
         real = np.unwrap(wheels, period=wheel_m, axis=1)
         count = int(np.sum(np.abs(real - wheels) > wheel_m / 2.0))
@@ -1566,7 +1563,8 @@ PATTERNS = (
             "{causes}", "convert angles once, before quaternions, sines and cosines; turn a compass by 90 deg - yaw; a "
             "column's name says its unit (yaw_deg, yaw_rad)", "{then}", _steps_and_headings, alone=True),
     Pattern("folded headings", "{who}: its headings stay within half a turn, its path goes to both sides of it",
-            "an arc cosine", "take atan2 of both components", "the path's side is their sign", _folded, alone=True),
+            "an arc cosine, by which the sign of an angle is lost", "take atan2 of both components; " + _RECORD, "",
+            _folded, alone=True),
     Pattern("stale headings", "{who}: its headings change every {every} s, and stay between messages meanwhile",
             "a compass, or another source of headings, that is slower than the odometry, and late",
             "turn by wheels or a gyro meanwhile", "headings are interpolated", _stale_headings, alone=True),

@@ -86,6 +86,89 @@ def test_signs_are_undone_and_factors_beside_them_found(name, factor):
     look_at(found.odometry, found.truth)
 
 
+def with_headings(path, change):
+    return replace(path, yaw_rad=change(path.yaw_rad, path.t_s))
+
+
+def held(every_s):
+    """Return the function that keeps headings for some seconds."""
+    return lambda yaw, t_s: yaw[np.searchsorted(t_s, np.floor(t_s / every_s) * every_s)]
+
+
+def at_rest(rows):
+    """Return motions (n, 3) with rests of 8 s."""
+    return np.concatenate([np.concatenate((part, np.zeros((400, 3)))) for part in np.array_split(rows, 3)])
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "words"),
+    [
+        ("stale headings", lambda path: with_headings(path, held(2.0)), "change every 2 s"),
+        ("late turns", lambda path: with_headings(path, lambda yaw, t: np.interp(t - 1.5, t, yaw)), "1.5 s later"),
+        ("turns at rest", lambda path: with_headings(path, lambda yaw, t: yaw + 0.1 * t), "turns by 5.73 deg/s"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("seed", range(2))
+def test_headings_that_are_wrong_in_a_way_of_their_own(name, wrong, words, seed):
+    rows = at_rest(driven(seed, 90.0))
+    steps = increments(wrong(trajectory(rows)).trajectory().xyt).rows[:, 2]
+    found = first_look(Look((trajectory(np.column_stack((rows[:, :2], steps))), real(rows))))
+    assert found.mistakes[0].name == name
+    assert words in found.mistakes[0].sentence
+    assert Look((found.odometry, found.truth)).correlations[2, 2] > 0.9
+
+
+def test_an_arc_cosine_folds_headings():
+    path = trajectory(rows := driven(2))
+    with pytest.raises(RecordingError, match="an arc cosine"):
+        look_at(with_headings(path, lambda yaw, _: np.arccos(np.cos(yaw))), real(rows))
+
+
+def test_a_filter_across_the_wrap_turns_the_other_way_round():
+    yaw = np.unwrap((path := trajectory(rows := driven(3))).yaw_rad)
+    own, wrapped = [yaw[0]], np.arctan2(np.sin(yaw), np.cos(yaw))
+    for step, compass in zip(np.diff(yaw), wrapped[1:], strict=True):
+        own.append(0.98 * (own[-1] + step) + 0.02 * compass)
+    found = first_look(Look((with_headings(path, lambda *_: np.array(own)), real(rows))))
+    assert found.mistakes[0].name == "other way round"
+
+
+@pytest.mark.parametrize("headed", [True, False])
+@pytest.mark.parametrize(("along", "by"), [(0, 1.6), (1, 0.5)])
+def test_a_truth_is_stretched_along_an_axis(along, by, headed):
+    path = real(driven(4), headed=headed)
+    stretched = replace(path, xyz=path.xyz * [by, 1.0, 1.0])
+    if along:
+        stretched = replace(path, xyz=path.xyz * [1.0, by, 1.0])
+    found = first_look(Look((trajectory(driven(4)), stretched)))
+    assert found.mistakes[0].name == "stretched"
+    assert np.allclose(np.ptp(found.truth.xyz[:, :2], axis=0), np.ptp(path.xyz[:, :2], axis=0), rtol=0.05)
+
+
+@pytest.mark.parametrize("steps", [False, True])
+def test_positions_that_are_speeds_or_steps_are_refused(steps):
+    rows, path = driven(5), trajectory(driven(5))
+    body = np.concatenate((rows[:1], rows))[:, :2] * (1.0 if steps else HZ)
+    speeds = replace(path, xyz=np.column_stack((body, 0.0 * body[:, 0])))
+    with pytest.raises(RecordingError, match="its positions are speeds or steps"):
+        look_at(speeds, real(rows))
+
+
+def test_a_steering_angle_that_is_clamped_is_a_limit():
+    rows = driven(6)
+    rows[:, 0] = np.maximum(np.abs(rows[:, 0]), 0.2 / HZ)
+    bend = np.clip(rows[:, 2] / rows[:, 0], -0.6, 0.6)
+    with pytest.raises(RecordingError, match=r"turns 0\.6 rad per m at most"):
+        look_at(trajectory(np.column_stack((rows[:, :2], bend * rows[:, 0]))), real(rows))
+
+
+def test_increments_of_eight_bits_that_wrap_are_an_overflow():
+    rows, tick_m = driven(7), 0.25 / HZ / 127.0
+    byte = lambda x: ((np.rint(x / tick_m) + 128) % 256 - 128) * tick_m  # noqa: E731
+    found = first_look(Look((trajectory(rims(rows, byte, byte)), real(rows))))
+    assert found.mistakes[0].name == "overflow"
+
+
 @pytest.mark.parametrize("headed", [True, False])
 def test_a_mirrored_truth_is_one_of_two_and_a_gyro_decides(headed):
     rows = driven()
