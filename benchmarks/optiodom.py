@@ -62,8 +62,8 @@ fitted on all runs that they are measured on; ours on every second run, measured
 
 `benchmarks/optiodom.py` computes the figures from the runs, and this page from `benchmarks/optiodom.json`. CPU time and
 memory are those of the larger half, with one thread, of the fit. `learn` chose its effects by itself, from 12 runs of
-each half of the tricycle, 24 of the differential, 29 of the robot with four wheels and all of that with three, and took
-2 to 8 CPU s per minute and 1 GB at most.
+each half of the tricycle, 29 of the robot with four wheels and all of the other two, and took 2 to 8 CPU s per minute
+and 1.5 GB at most.
 
 ## Fitted models
 
