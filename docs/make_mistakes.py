@@ -65,8 +65,8 @@ OWN = {
         "then": "its headings are multiplied, or its path is made again of its steps and headings",
     },
     "in reverse": {"v": 1, "w": -1},
-    "overflow": {"cause": "a counter overflows (often of 8 or 16 bits), or is reset at stops; once a second, a time step "
-                          "is taken from the nanoseconds alone"},
+    "overflow": {"cause": "a counter overflows (often of 8 or 16 bits), or is reset at stops; once a second, a time "
+                          "step is taken from the nanoseconds alone"},
     "bursts": {"few": 18, "apart": 0.6}, "slow turns": {"rate": 26},
     "resets": {"where": "4.99 m at 77 s", "causes": "the node or the board was restarted; a counter was reset; counts "
                "or speeds are read as unsigned"},
