@@ -323,6 +323,16 @@ class Look:
         return here, there, times
 
     @cached_property
+    def seen(self) -> NDArray[np.bool_]:
+        """Windows (n,) in which both have poses; motions are interpolated over gaps."""
+        origin, times = int(self.paths[0].stamps_ns[0]), self.motions[2]
+        ends = [
+            np.searchsorted(path.seconds_since(origin), np.array((t_s, t_s + self.window_s)))
+            for path, t_s in zip(self.paths, times, strict=True)
+        ]
+        return np.asarray((np.diff(ends, axis=1) > 1).all(axis=(0, 1)))
+
+    @cached_property
     def correlations(self) -> Array:
         """Correlations (3, 3) through the origin of v, vy, omega of the two; on the spot of omega alone."""
         (travel, turn), c = self.sizes, _correlations(*self.windows[:2])
@@ -667,7 +677,7 @@ def _folded(look: Look, i: int) -> Figures | None:
     off = np.abs(np.abs(ways) - path.yaw_rad[middle])
     follows, beside = (one.agreement[0] > _FOLLOWS for one in (look.own[i], look.own[1 - i]))
     far = np.percentile(off.min(axis=0), 80.0) > 2.0 * _BENT_RAD
-    one_sided = np.mean(np.where(off[0] < off[1], *ways) < 0.0) < _MOVING
+    one_sided = np.mean(np.where(off[0] < off[1], ways[0], ways[1]) < 0.0) < _MOVING
     return None if far or follows or (look.headed and not beside) or one_sided else {"i": i}
 
 
@@ -953,6 +963,15 @@ def _matrix(look: Look, axes: list[int]) -> tuple[Array, float]:
 
 def _wheel_gains(look: Look) -> Figures | None:
     """Find wheels that count by unequal factors g: motions are J' diag(g) J / n times the truth's, J of `_WHEELS`."""
+    here, turn = look.motions[0], look.scales[1]
+    own = float(_correlations(here, here)[0, 2])
+    if abs(own) > 0.999 and look.headed and turn.sure and abs(np.log(turn.value)) < _CLOSE:
+        which = "left" if own > 0.0 else "right"
+        return {
+            "each": "whose difference is the travel, beside turns that agree", "explained": f"{own**2:.1%}",
+            "cause": f"the {which} wheel counts the wrong way (its channels A and B are exchanged), beside a gyro",
+            "change": f"negate the counts of the {which} wheel; {_RECORD}", "then": "",
+        }  # fmt: skip
     axes = [0, 1, 2] if look.sideways else [0, 2]
     names, rolls = _WHEELS[2 * len(axes) - 2]
     matrix, explained = _matrix(look, axes)
@@ -1034,7 +1053,7 @@ def _aside(look: Look) -> Figures | None:
         rest = np.abs(there[:, 1:2] - here[:, ::2] @ _linear(here[:, ::2], there[:, 1:2])[0].T)[:, 0]
         usual = np.percentile(np.abs(there[:, 0]), 80.0)
         # where headings of the truth are turned for a while, it moves sideways only as the odometry drives
-        off = (rest > _MOVING * usual) & (rest < 2.0 * usual) & (np.abs(here[:, 0]) < rest / 2.0)
+        off = (rest > _MOVING * usual) & (rest < 2.0 * usual) & (np.abs(here[:, 0]) < rest / 2.0) & look.seen
         return {"how": "never moves sideways, unlike"} if off.mean() > 0.02 and here[:, 1].std() < 0.1 * usual else None
     size = abs(side.value) / v.value
     wrong = not 1.0 / _SKIDS < size < _WRONG
@@ -1190,11 +1209,12 @@ def _in_reverse(look: Look) -> Figures | None:
 
 
 def _limit(look: Look) -> Figures | None:
-    """Find odometry that keeps its largest speed, or curvature, where the truth has a larger one."""
+    """Find odometry that keeps its largest speed, yaw rate or curvature where the truth has a larger one."""
     used = moving(look.windows[0][:, 0])
     own, real = (np.abs(x[used]) + 1e-9 for x in look.windows[:2])
     for does, here, there in (
         ("travels {:.3g} m/s", own[:, 0] / look.window_s, real[:, 0] / look.window_s),
+        ("turns {:.3g} rad/s", own[:, 2] / look.window_s, real[:, 2] / look.window_s),
         ("turns {:.3g} rad per m", own[:, 2] / own[:, 0], real[:, 2] / real[:, 0]),
     ):
         top = float(np.percentile(here, 98.0)) if len(here) else 0.0
@@ -1204,8 +1224,8 @@ def _limit(look: Look) -> Figures | None:
         # in bends the outer wheel may be at its limit
         far, usual = np.percentile((there / here)[at], (10, 50, 90)), float(np.percentile((there / here)[below], 25.0))
         agrees = abs(usual - 1.0) < _CLOSE
-        if does.startswith("turns"):  # windows of less curvature have parts at the limit
-            agrees, usual = bool(far[2] > 1.5 * far[0]), 1.0
+        if does.startswith("turns"):  # windows with fewer turns have parts at the limit
+            agrees, usual = bool(1.5 * far[0] < far[2] < 10.0), 1.0
         if agrees and far[0] > usual + 0.05 and far[1] > usual + _CLOSE:
             words = {"does": does.format(top), "verb": does.split()[0], "share": f"{at.mean():.0%}"}
             return words | {"far": float(far[1])}
@@ -1244,7 +1264,7 @@ def _whole_steps(look: Look) -> Figures | None:
     # increments of ticks lose nothing, and speeds that are rounded neither
     near = abs(lost - wheels / 2.0) < max(0.2, 0.1 * wheels)
     usual = float(np.median(np.abs(rows[:, 0] / per)[np.abs(rows[:, 0]) > 0.0]))
-    if lost < max(0.25, 2.5 * error) or not near or lost * step < 0.04 * usual:
+    if lost < max(0.25, 2.5 * error) or not near or not 0.04 * usual < lost * step < 0.5 * usual:
         return None
     mended = rows + np.sign(rows) * per[:, None] * lost * np.array((step, 0.0, turn))
     mended[:, 0] = rows[:, 0] + sides[down] * per * lost * step
@@ -1329,9 +1349,8 @@ def _without(look: Look, i: int, lost: NDArray[np.bool_]) -> Callable[[Samples],
 
 def _other_way_round(look: Look) -> Figures | None:
     """Find turns that differ from the truth's by whole turns in all, made in a while."""
-    (here, there, (starts, _)), t_s = look.motions, look.paths[0].t_s
-    seen = np.diff(np.searchsorted(t_s, (starts, starts + look.window_s)), axis=0)[0] > 1
-    off = (here - there)[:, 2] * seen
+    here, there, _ = look.motions
+    off = (here - there)[:, 2] * look.seen
     whole, lost = np.cumsum(off[::4]), np.abs(off) > 3.0 * _BENT_RAD  # windows overlap four times
     count = round(float(np.ptp(whole)) / (2.0 * np.pi)) if len(whole) else 0
     opposite = np.sum((here * there)[lost, 2]) < 0.0 and np.median(np.abs(off)) < _BENT_RAD
@@ -1362,12 +1381,10 @@ def _one_curvature(look: Look) -> Figures | None:
     path = travel_of(look.paths[0], int(look.paths[0].stamps_ns[0]))
     v = look.scales[0].value if look.scales[0].sure else 1.0
     here = path.within(starts, look.window_s) * [v, v, 1.0]
-    # poses that are left out make one even motion
-    seen = np.diff(np.searchsorted(path.t_s, (starts, starts + look.window_s)), axis=0)[0] > 1
     speeds = [np.hypot(x[:, 0], x[:, 1]) for x in (here, there)]
     moves, usual = moving(speeds[0]), int(40.0 / look.window_s)
     # wheels without direction travel where the truth turns on the spot
-    seen &= speeds[0] < 3.0 * speeds[1] + 0.02 * np.percentile(speeds[0], 95.0)
+    seen = look.seen & (speeds[0] < 3.0 * speeds[1] + 0.02 * np.percentile(speeds[0], 95.0))
     turning = np.abs(here[:, 2]) > 1e-6
     ahead = turning & moves & (np.abs(here[:, 0]) > np.abs(here[:, 1]))
     bend = _densest(here[ahead, 2] / here[ahead, 0], usual)
