@@ -167,9 +167,9 @@ class HardIron(Effect):
         drive="turn by 90 deg on the spot, and stand still for a minute, in all four headings",
     )
 
-    # up to 45 degrees: the wave is the first order of a deflection, and one line of travel allows any amplitude
-    k: float = parameter("rad", "error at heading zero of the truth", low=-0.8, high=0.8, typical=0.05)
-    m: float = parameter("rad", "error at a heading of 90 degrees", low=-0.8, high=0.8, typical=0.05)
+    # up to 20 degrees: the wave is the first order of a deflection, and one line of travel allows any amplitude
+    k: float = parameter("rad", "error at heading zero of the truth", low=-0.35, high=0.35, typical=0.05)
+    m: float = parameter("rad", "error at a heading of 90 degrees", low=-0.35, high=0.35, typical=0.05)
     time_constant: float = parameter(
         "s", "time constant of the low-pass filter", low=0.0, high=100.0, typical=3.0, amplitude=False, optional=True,
         trials=(0.0, 1.0, 3.0, 10.0),
