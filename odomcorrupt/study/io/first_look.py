@@ -963,9 +963,9 @@ def _matrix(look: Look, axes: list[int]) -> tuple[Array, float]:
 
 def _wheel_gains(look: Look) -> Figures | None:
     """Find wheels that count by unequal factors g: motions are J' diag(g) J / n times the truth's, J of `_WHEELS`."""
-    here, turn = look.motions[0], look.scales[1]
-    own = float(_correlations(here, here)[0, 2])
-    if abs(own) > 0.999 and look.headed and turn.sure and abs(np.log(turn.value)) < _CLOSE:
+    turn, (own, real) = look.scales[1], (float(_correlations(x, x)[0, 2]) for x in look.motions[:2])
+    beside = look.headed and turn.sure and abs(np.log(turn.value)) < _CLOSE and not look.scales[0].sure
+    if beside and abs(own) > 0.999 and abs(real) < 0.95:  # no gains can be told of two that drive on one circle
         which = "left" if own > 0.0 else "right"
         return {
             "each": "whose difference is the travel, beside turns that agree", "explained": f"{own**2:.1%}",
@@ -1467,7 +1467,7 @@ def _travels_otherwise(look: Look) -> Figures | None:
     """Find odometry whose travel has nothing to do with the truth's."""
     corr, (own, real) = float(look.correlations[0, 0]), (np.hypot(*x[:, :2].T) for x in look.windows[:2])
     drives = look.headed and moving(real).sum() >= 5 * _FEWEST and look.sizes[1][:2].min() > _FEW_TURNS
-    unlike = np.abs(look.correlations[:2, :2]).max() < _UNCLEAR
+    unlike = 0.0 < np.abs(look.correlations[:2, :2]).max() < _UNCLEAR  # all are 0 on the spot
     return {"corr": corr} if drives and unlike and np.median(np.abs(own - real)) > 2.0 * _CLOSE * real.mean() else None
 
 
