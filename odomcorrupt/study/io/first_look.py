@@ -797,9 +797,8 @@ def _stretched(look: Look) -> Figures | None:
         return None
     factor = float(np.sqrt((mean + wave) / (mean - wave)))
     # the axis along which lengths agree is right
-    wrong = abs(np.log(mean + wave)) < abs(np.log(mean - wave))
-    axis = np.exp(1j * (along + (0.0 if wrong else np.pi / 2.0)))
-    by = (1.0 / factor if wrong else factor) - 1.0
+    across = abs(np.log(mean + wave)) > abs(np.log(mean - wave))
+    axis, by = np.exp(1j * (along + across * np.pi / 2.0)), (factor if across else 1.0 / factor) - 1.0
 
     def undo(path: Samples) -> Samples:
         xy = path.xyz[:, :2] @ [1.0, 1j]
@@ -915,8 +914,8 @@ def _turns_late(look: Look) -> Figures | None:
         return None
     rows = increments(path.xyt).rows
     rows[:, 2] = np.diff(np.interp(t_s + late_s, t_s, np.unwrap(path.xyt[:, 2])))
-    words = {"late": f"{abs(late_s):.1f}", "side": "later" if late_s > 0.0 else "earlier"}
-    return words | {"undo": lambda path: _moved_by(path, rows)}
+    side = ("earlier", "later")[int(late_s > 0.0)]
+    return {"late": f"{abs(late_s):.1f}", "side": side, "undo": lambda path: _moved_by(path, rows)}
 
 
 _WHEELS = {
@@ -976,7 +975,7 @@ def _wheel_gains(look: Look) -> Figures | None:
     names, rolls = _WHEELS[2 * len(axes) - 2]
     matrix, explained = _matrix(look, axes)
     by_turn, by_travel = np.abs(matrix[:-1, -1]).sum(), np.abs(matrix[-1, :-1]).sum()
-    if explained < _FOLLOWS or not 1e-6 < by_turn < 2.0 * by_travel:
+    if explained < _FOLLOWS or look.correlations[0, 0] == 0.0 or not 1e-6 < by_turn < 2.0 * by_travel:
         return None
     arm_m = np.array((*axes[1:], np.sqrt(by_turn / by_travel))) ** (np.array(axes) == 2)
     scaled = matrix / arm_m * arm_m[:, None]
@@ -988,7 +987,7 @@ def _wheel_gains(look: Look) -> Figures | None:
     gains = np.trace(mean) / len(axes) + np.einsum("ij,jk,ik->i", rolls, scaled - mean, rolls) / 2.0
     most = float(np.abs(gains).max())
     off = np.abs(rolls.T @ (gains[:, None] * rolls) / len(rolls) - scaled).max()
-    if off > 0.2 * most or np.ptp(gains) < (1.0 - 1.0 / _WRONG) * most:
+    if off > 0.2 * most or np.ptp(gains) < (1.0 - 1.0 / _WRONG) * most * np.sqrt(len(rolls) / 2.0):
         return None
     dead, reverse = np.abs(gains) < 0.1 * most, gains < -0.3 * most
     wrong = next(x for x in (reverse, dead, np.abs(gains - 1.0) > 0.15, gains < np.inf) if x.any())
@@ -1087,8 +1086,9 @@ def _overflows(look: Look, i: int) -> Figures | None:
     # where one wheel's increments jump, travel changes by half of it and the heading by it over the track
     ends = np.percentile(both[:, 0] / both[:, 1], (25.0, 50.0, 75.0)) if len(both) > 2 else np.arange(3.0)
     # beside a truth that goes as far, jumps are those of play in the gears or of noise
-    fine = len(rows) < FEWEST or (look.paths[0] is not look.paths[1] and look.agree)
-    for arm_m in (float(ends[1]), 0.0)[int(ends[2] > 1.3 * ends[0]) :] if i == 0 and not fine else ():
+    if i or len(rows) < FEWEST or (look.paths[0] is not look.paths[1] and look.agree):
+        return None
+    for arm_m in (float(ends[1]), 0.0)[int(ends[2] > 1.3 * ends[0]) :]:
         wheels = rows[:, 0] + np.array(sorted({-arm_m, arm_m}))[:, None] * rows[:, 2]
         jump = np.abs(np.diff(wheels, axis=1))
         wheel_m = float(np.median(jump[jump >= np.sort(jump, axis=None)[-3] / 2.0]))
@@ -1105,7 +1105,7 @@ def _overflows(look: Look, i: int) -> Figures | None:
         few |= np.ptp(np.percentile(real, (5.0, 95.0), axis=1), axis=0).max() < 0.03 * wheel_m
         # headings that turn by more than half a turn reverse increments, whose size stays
         few |= not signed and np.median(np.abs(np.diff(np.abs(wheels), axis=1))[same]) < 0.1 * wheel_m
-        if 2 + 0.01 * len(rows) < count < 0.8 * len(rows) and not few:
+        if 2 + 0.02 * len(rows) < count < 0.8 * len(rows) and not few:
             far = (np.abs(real - wheels) > wheel_m / 2.0).any(axis=0)
             rows[:, 0] = real.mean(axis=0)
             rows[:, 2] = (real[1] - real[0]) / (2.0 * arm_m) if arm_m else np.interp(n, n[~far], rows[~far, 2])
@@ -1116,7 +1116,7 @@ def _overflows(look: Look, i: int) -> Figures | None:
     beside = np.maximum(np.append(speed[1:], np.inf), np.append(np.inf, speed[:-1]))
     far = speed > 3.0 * np.maximum(beside, np.percentile(speed[size > 0.0], 80.0)) if size.any() else size > 0.0
     # resets lead to one pose
-    if i or not 1 < far.sum() < 0.2 * len(far) or np.ptp(look.paths[0].xyz[1:][far], 0).max() < 0.01 * size[far].max():
+    if not 1 < far.sum() < 0.2 * len(far) or np.ptp(look.paths[0].xyz[1:][far], 0).max() < 0.01 * size[far].max():
         return None
     usual = np.stack([np.interp(n, n[~far], x[~far]) for x in rows.T], axis=1)
     bend = float(np.median(np.abs(wrap(rows[far, 2] - usual[far, 2]))))
@@ -1226,9 +1226,9 @@ def _limit(look: Look) -> Figures | None:
         agrees = abs(usual - 1.0) < _CLOSE
         if does.startswith("turns"):  # windows with fewer turns have parts at the limit
             agrees, usual = bool(1.5 * far[0] < far[2] < 10.0), 1.0
-        if agrees and far[0] > usual + 0.05 and far[1] > usual + _CLOSE:
-            words = {"does": does.format(top), "verb": does.split()[0], "share": f"{at.mean():.0%}"}
-            return words | {"far": float(far[1])}
+        if agrees and far[0] > usual + 0.05 and far[1] > max(usual, 1.0) + _CLOSE:
+            words = {"does": does.format(top), "verb": does.split()[0], "far": float(far[1])}
+            return words | {"share": f"{at.mean():.0%}"}
     return None
 
 
@@ -1275,13 +1275,13 @@ def _whole_steps(look: Look) -> Figures | None:
 def _whole_positions(look: Look, i: int) -> Figures | None:
     """Find positions that are multiples of a step which is not small beside the travel between messages."""
     path, xy = look.paths[i], look.paths[i].xyz[:, :2]
-    high = max(step_of(x - x[0]) or 0.0 for x in xy.T)
+    high = max(steps := [step_of(x - x[0]) or 0.0 for x in xy.T])
     # usual travel between messages, of some seconds, so that a step is a small part of it
     every = min(max(int(4.0 * len(path) / path.span_s), 1), len(path) // 2)
     far = float(np.percentile(np.linalg.norm(xy[every:] - xy[:-every], axis=1), 90.0)) / every
     if not high > 0.2 * far > 0.0:
         return None
-    count = np.abs(np.rint(np.diff(xy, axis=0) / high)) * ([step_of(x - x[0]) is not None for x in xy.T])
+    count = np.abs(np.rint(np.diff(xy, axis=0) / high)) * (np.array(steps) > 0.0)
     # a drive along the axes at one speed has steps of one length, one after the other
     moves = np.any(count > 0.0, axis=1)
     if len(np.unique(count)) < 3 and np.mean(np.diff(moves)[moves[1:] | moves[:-1]]) < 0.5:
@@ -1316,7 +1316,7 @@ def _repeated(look: Look) -> Figures | None:
     first, last = first[jumps], last[jumps]
     real = [np.interp(t_s[[first, last + 1]], truth.seconds_since(origin), x) for x in truth.xyz[:, :2].T]
     far = np.hypot(*np.diff(real, axis=1)[:, 0])
-    if not len(far) or np.median(far / step[last]) < 0.5:
+    if not len(far) or np.median(far / step[last]) < 0.5 or (t_s[last] - t_s[first]).max() < 0.5:
         return None
     kept = np.ones(len(path), dtype=bool)
     for a, b in zip(first, last, strict=True):
