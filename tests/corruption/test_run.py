@@ -345,12 +345,12 @@ def test_damage_is_reported_in_the_same_words_and_nothing_stays(long, place, tmp
     at = int(len(data) * place)
     data[at : at + 100] = bytes(100)
     (tmp_path / "damaged.mcap").write_bytes(data)
-    told = set()
+    messages = set()
     for threads in (1, 2, 4):
         with pytest.raises(BagError) as caught:
             corrupt_with(tmp_path / "damaged.mcap", tmp_path / "out.mcap", threads)
-        told.add(str(caught.value))
-    assert len(told) == 1
+        messages.add(str(caught.value))
+    assert len(messages) == 1
     assert [file.name for file in tmp_path.iterdir()] == ["damaged.mcap"]
     assert threading.active_count() == 1
 

@@ -1,4 +1,4 @@
-"""A folder that one stands in, and a model or map of a stranger, run no code and open or set only what they may."""
+"""The working directory, and models and maps of strangers, run no code and open or set only what they may."""
 
 import importlib
 import os

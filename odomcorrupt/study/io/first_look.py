@@ -332,6 +332,12 @@ class Look:
         ]
         return np.asarray((np.diff(ends, axis=1) > 1).all(axis=(0, 1)))
 
+    def chords(self, i: int, ends: Array) -> Array:
+        """Return complex displacements (k - 1, n) of one of the two between ends (k,) in windows from their starts."""
+        at_s, path = self.motions[2][i] + self.window_s * ends[:, None], self.paths[i]
+        places = np.interp(at_s, path.seconds_since(int(self.paths[0].stamps_ns[0])), path.xyz[:, :2] @ [1.0, 1j])
+        return np.asarray(np.diff(places, axis=0))
+
     @cached_property
     def correlations(self) -> Array:
         """Correlations (3, 3) through the origin of v, vy, omega of the two; on the spot of omega alone."""
@@ -777,35 +783,26 @@ def _upright(look: Look) -> Figures | None:
 
 def _stretched(look: Look) -> Figures | None:
     """Find positions of the truth that are farther apart along one axis than along the other."""
-    origin, times = int(look.paths[0].stamps_ns[0]), look.motions[2]
-    own, real = (
-        np.diff(
-            [np.interp(x, p.seconds_since(origin), p.xyz[:, :2] @ [1.0, 1j]) for x in (t, t + look.window_s)], axis=0
-        )[0]
-        for p, t in zip(look.paths, times, strict=True)
-    )
+    own, real = (look.chords(i, np.arange(2.0))[0] for i in (0, 1))
     moves = moving(np.abs(own)) & moving(np.abs(real))
     course, ratio = 2.0 * np.angle(real[moves]), np.abs(own[moves] / real[moves]) ** 2
     design = np.column_stack((np.ones(len(course)), np.cos(course), np.sin(course)))
     if len(course) < 3 * _FEWEST or _concentration(course) > _CLEAR:
         return None
     # 1 / factor^2 varies as (mean - wave) / (mean + wave) with twice the course
-    (mean, *waves), left = _linear(design, ratio[:, None])[0][0], np.abs(ratio - np.median(ratio))
+    mean, *waves = _linear(design, ratio[:, None])[0][0]
     wave, along = float(np.hypot(*waves)), float(np.arctan2(-waves[1], -waves[0])) / 2.0
-    left = np.median(np.abs(ratio - design @ [mean, *waves])) / max(float(np.median(left)), 1e-9)
-    if not _CLOSE * mean < wave < 0.99 * mean or left > _CLEAR:
+    left, varies = (np.median(np.abs(ratio - x)) for x in (design @ [mean, *waves], np.median(ratio)))
+    if not _CLOSE * mean < wave < 0.99 * mean or left > _CLEAR * varies:
         return None
     factor = float(np.sqrt((mean + wave) / (mean - wave)))
     # the axis along which lengths agree is right
     across = abs(np.log(mean + wave)) > abs(np.log(mean - wave))
     axis, by = np.exp(1j * (along + across * np.pi / 2.0)), (factor if across else 1.0 / factor) - 1.0
-
-    def undo(path: Samples) -> Samples:
-        xy = path.xyz[:, :2] @ [1.0, 1j]
-        xy = xy + by * axis * (xy * np.conj(axis)).real
-        return replace(path, xyz=np.column_stack((xy.real, xy.imag, path.xyz[:, 2])))
-
-    return {"i": 1, "factor": factor, "along": f"{np.degrees(along) % 180.0:.0f}", "undo": undo}
+    xy = look.paths[1].xyz[:, :2] @ [1.0, 1j]
+    xy = xy + by * axis * (xy * np.conj(axis)).real
+    mended = replace(look.paths[1], xyz=np.column_stack((xy.real, xy.imag, look.paths[1].xyz[:, 2])))
+    return {"i": 1, "factor": factor, "along": f"{np.degrees(along) % 180.0:.0f}", "undo": lambda _: mended}
 
 
 def _publishers(look: Look, i: int) -> Figures | None:
@@ -964,7 +961,7 @@ def _wheel_gains(look: Look) -> Figures | None:
     """Find wheels that count by unequal factors g: motions are J' diag(g) J / n times the truth's, J of `_WHEELS`."""
     turn, (own, real) = look.scales[1], (float(_correlations(x, x)[0, 2]) for x in look.motions[:2])
     beside = look.headed and turn.sure and abs(np.log(turn.value)) < _CLOSE and not look.scales[0].sure
-    if beside and abs(own) > 0.999 and abs(real) < 0.95:  # no gains can be told of two that drive on one circle
+    if beside and abs(own) > 0.999 and abs(real) < 0.95:  # on one circle gains are not identifiable
         which = "left" if own > 0.0 else "right"
         return {
             "each": "whose difference is the travel, beside turns that agree", "explained": f"{own**2:.1%}",
@@ -1105,7 +1102,7 @@ def _overflows(look: Look, i: int) -> Figures | None:
         few |= np.ptp(np.percentile(real, (5.0, 95.0), axis=1), axis=0).max() < 0.03 * wheel_m
         # headings that turn by more than half a turn reverse increments, whose size stays
         few |= not signed and np.median(np.abs(np.diff(np.abs(wheels), axis=1))[same]) < 0.1 * wheel_m
-        if 2 + 0.02 * len(rows) < count < 0.8 * len(rows) and not few:
+        if 2 + 0.01 * len(rows) < count < 0.8 * len(rows) and not few:
             far = (np.abs(real - wheels) > wheel_m / 2.0).any(axis=0)
             rows[:, 0] = real.mean(axis=0)
             rows[:, 2] = (real[1] - real[0]) / (2.0 * arm_m) if arm_m else np.interp(n, n[~far], rows[~far, 2])
@@ -1154,10 +1151,8 @@ def _one_way(look: Look, axis: int) -> Figures | None:
     straight = np.abs(there[:, 0]) > 0.5 * np.abs(there[:, 2]) if axis == 0 else np.ones(len(here), dtype=bool)
     if axis == 0 and not look.paths[1].headed and np.percentile(here[:, 0], 1.0) >= 0.0:
         # positions alone show reverse as a course that flips between chords, where the odometry's goes on
-        courses, seen, origin = [], np.ones(len(here), dtype=bool), int(look.paths[0].stamps_ns[0])
-        for path, at_s in zip(look.paths, look.windows[2], strict=True):
-            around_s = at_s + look.window_s * np.arange(-1.0, 2.0)[:, None]
-            chords = np.diff(np.interp(around_s, path.seconds_since(origin), path.xyz[:, :2] @ [1.0, 1j]), axis=0)
+        courses, seen = [], np.ones(len(here), dtype=bool)
+        for chords in (look.chords(i, np.arange(-1.0, 2.0)) for i in (0, 1)):
             courses.append(np.abs(np.angle(chords[1] * np.conj(chords[0]))))
             seen &= moving(np.abs(chords).min(axis=0))
         own, real = (course[seen] for course in courses)
@@ -1266,8 +1261,9 @@ def _whole_steps(look: Look) -> Figures | None:
     usual = float(np.median(np.abs(rows[:, 0] / per)[np.abs(rows[:, 0]) > 0.0]))
     if lost < max(0.25, 2.5 * error) or not near or not 0.04 * usual < lost * step < 0.5 * usual:
         return None
-    mended = rows + np.sign(rows) * per[:, None] * lost * np.array((step, 0.0, turn))
-    mended[:, 0] = rows[:, 0] + sides[down] * per * lost * step
+    # of turns, both wheels lose alike if they are cut down
+    halves = np.stack((step * sides[down], 0.0 * per, (not down) * turn * np.sign(rows[:, 2])), axis=1)
+    mended = rows + lost * per[:, None] * halves
     said = f"{'speeds' if speeds else 'increments'} are whole steps of {1e3 * wheels * step:.3g} mm{'/s' * speeds}"
     return {"steps": said, "lost": f"{lost:.2f} +- {error:.2f}", "undo": lambda path: _moved_by(path, mended)}
 
@@ -1367,11 +1363,8 @@ def _turns_at_rest(look: Look) -> Figures | None:
     rate = float(np.median(turned)) if rest.sum() >= _FEWEST else 0.0
     if not look.headed or abs(rate) < _PLAIN_RADPS or np.percentile(np.abs(turned - rate), 80.0) > _CLOSE * abs(rate):
         return None
-    rows = increments(look.paths[0].trajectory().xyt).rows - rate * np.diff(look.paths[0].t_s)[:, None] * [
-        0.0,
-        0.0,
-        1.0,
-    ]
+    rows = increments(look.paths[0].trajectory().xyt).rows
+    rows[:, 2] -= rate * np.diff(look.paths[0].t_s)
     return {"rate": float(np.degrees(rate)), "undo": lambda path: _moved_by(path, rows)}
 
 
