@@ -160,6 +160,28 @@ def _say(sentence: str) -> None:
     click.echo(f"odomcorrupt: {visible(shown.replace(chr(10), ' '))}", err=True)
 
 
+def _unwind_on_signals() -> None:
+    """Let a kill unwind like an error, so that a half-written output is removed, whenever it comes.
+
+    Python handles a signal that comes just before a system call blocks when that call ends, and ignores exceptions
+    within callbacks of weak references: once a second calls are interrupted, and such an exception is raised again.
+    """
+    lost: list[BaseException] = []
+
+    def handle(number: int, _frame: object) -> None:
+        if number != signal.SIGALRM:
+            sys.exit(128 + number)
+        if lost:
+            raise lost.pop()
+
+    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
+        signal.signal(number, handle)
+    signal.setitimer(signal.ITIMER_REAL, 1.0, 1.0)
+    ends = (SystemExit, KeyboardInterrupt)
+    keep = lost.append
+    sys.unraisablehook = lambda x: keep(x.exc_value) if isinstance(x.exc_value, ends) else sys.__unraisablehook__(x)
+
+
 def main() -> NoReturn:
     """Run the command line with the arguments of the program, and exit."""
     install()
@@ -167,9 +189,7 @@ def main() -> NoReturn:
     warnings.showwarning = lambda message, *_where, **_more: _say(f"warning: {message}")
     # the study limits threads of linear algebra itself (`extras.part_of_study`); none at all start faster
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # a kill unwinds like an error, so that a half-written output is removed
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda number, _frame: sys.exit(128 + number))
+    _unwind_on_signals()
     # imports create many objects and little garbage
     gc.set_threshold(50_000)
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as in the background of a shell
@@ -178,6 +198,8 @@ def main() -> NoReturn:
         code = run(sys.argv[1:])
     except SystemExit as ended:
         code = ended.code if isinstance(ended.code, int) else 1
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
     # the final garbage collection of the interpreter takes a tenth of a short run's time
     gc.freeze()
     leave(code)

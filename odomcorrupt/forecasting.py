@@ -137,13 +137,7 @@ def _growth(variance: float, reference: float) -> float:
 
 
 def _row(after_m: float, errors: Array) -> Row:
-    distance = np.hypot(errors[:, 0], errors[:, 1])
-    mean = errors.mean(axis=0)
-    return Row(
-        after_m,
-        float(np.sqrt(np.mean(distance**2))),
-        float(np.quantile(distance, 0.9)),
-        float(np.hypot(mean[0], mean[1])),
-        float(np.sqrt(np.mean(errors[:, 2] ** 2))),
-        float(mean[2]),
-    )
+    distance, mean = np.hypot(errors[:, 0], errors[:, 1]), errors.mean(axis=0)
+    position, heading = (float(np.sqrt(np.mean(x**2))) for x in (distance, errors[:, 2]))
+    far, drift = float(np.quantile(distance, 0.9)), float(np.hypot(mean[0], mean[1]))
+    return Row(after_m, position, far, drift, heading, float(mean[2]))

@@ -379,18 +379,19 @@ def summarise(
         and (o is source or (plain(o.frame) == frames.odom and shares(o.topic) and not says_truth(o.topic)))
     }
     sides = [side_of(e.frame, e.child, frames) if frames is not None and shares(e.topic) else None for e in scan.edges]
+    true: list[str] = []
+    if frames is not None:
+        still = (e for e, side in zip(scan.edges, sides, strict=True) if side is None and shares(e.topic))
+        ends = ((e.topic, e.frame, e.child) for e in still)
+        true = [*topics_with_true_motion(scan.channels, moved, scan.placed, frames.odom)]
+        true += sorted({"{} {} -> {}".format(*one) for one in ends if contains_truth(*one, frames)})
     return {
         "odometry_source": None if source is None else source.topic,
         "odom_frame": None if frames is None else frames.odom,
         "base_frame": None if frames is None else frames.base,
         "topics": [
-            {
-                "topic": t.topic,
-                "type": t.msgtype,
-                "messages": t.count,
-                "rate_hz": t.rate_hz,
-                "longest_gap_s": t.longest_gap_ns * 1e-9,
-            }
+            {"topic": t.topic, "type": t.msgtype, "messages": t.count, "rate_hz": t.rate_hz}
+            | {"longest_gap_s": t.longest_gap_ns * 1e-9}
             for t in scan.topics.values()
         ],
         "odometry": [
@@ -402,20 +403,7 @@ def summarise(
             {"topic": e.topic, "parent": e.frame, "child": e.child, "transforms": len(e.stamps_ns), "moved": bool(side)}
             for e, side in zip(scan.edges, sides, strict=True)
         ],
-        "still_true": []
-        if frames is None
-        else [
-            *topics_with_true_motion(scan.channels, moved, scan.placed, frames.odom),
-            *sorted(
-                {
-                    f"{e.topic} {e.frame} -> {e.child}"
-                    for e in scan.edges
-                    if shares(e.topic)
-                    and side_of(e.frame, e.child, frames) is None
-                    and contains_truth(e.topic, e.frame, e.child, frames)
-                }
-            ),
-        ],
+        "still_true": true,
         "remarks": _remarks(scan, source, frames, [e for e in scan.edges if shares(e.topic)], asked_frame=odom_frame),
     }
 

@@ -20,23 +20,18 @@ def write_new(path: str | PathLike[str], data: bytes, *, overwrite: bool) -> Pat
     """Write a file that does not exist, unless it may be replaced; return its path."""
     target = Path(fspath(path))
     refuse_existing(target, overwrite=overwrite)
-    write_bytes(target, data)
+    write_file(target, data)
     return target
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write text as UTF-8, completely or not at all."""
-    write_bytes(path, text.encode())
-
-
-def write_bytes(path: Path, data: bytes, *, overwrite: bool = True) -> None:
-    """Write beside the target and rename when complete."""
+def write_file(path: Path, data: bytes | str, *, overwrite: bool = True) -> None:
+    """Write beside the target and rename when complete; text as UTF-8."""
     from odomcorrupt.bags.output import Output  # noqa: PLC0415 - numpy is slow to import, and help writes nothing
 
     output = Output(path, overwrite=overwrite)
     try:
         output.open()
-        output.write(data)
+        output.write(data if isinstance(data, bytes) else data.encode())
         output.commit()
     finally:
         output.discard()

@@ -106,12 +106,6 @@ class Summary(NamedTuple):
     def _shown(self) -> list[Line]:
         return [line for line in self.lines if line.text or not (line.full or line.tone == "command")]
 
-    @property
-    def headline(self) -> str:
-        """The verdict in one line, for a repr."""
-        first = self.lines[0]
-        return f"{first.label} {first.text}".strip()
-
 
 def aligned(rows: Sequence[Sequence[str]], right: Container[int]) -> list[str]:
     """Return rows of a table with their columns aligned, to the right those whose numbers are given."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.result_files import write_text
+from odomcorrupt.result_files import write_file
 from odomcorrupt.scoring.gate import STATISTICS, Comparison, compare_paired, paired_sentence, quantity, worst_of
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ class ErrorGate:
         if self.update:
             table = {"schema": SCHEMA, "errors": {name: float(error) for name, error in errors.items()}}
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            write_text(self.path, json.dumps(table, indent=1) + "\n")
+            write_file(self.path, json.dumps(table, indent=1) + "\n")
             return None
         before = self._baseline()
         common = [name for name in errors if name in before]

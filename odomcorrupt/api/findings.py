@@ -23,7 +23,7 @@ from odomcorrupt.report.brief import findings_brief, fit_brief, mistakes_first
 from odomcorrupt.report.comparison import comparison_brief, comparison_json, comparison_text, reproduction_sentence
 from odomcorrupt.report.findings import clock_lines, effects_with_errors, numbers_text
 from odomcorrupt.report.plain import picked
-from odomcorrupt.result_files import refuse_existing, write_bytes
+from odomcorrupt.result_files import refuse_existing, write_file
 from odomcorrupt.study.design.plan import drive_bag
 from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
 from odomcorrupt.study.estimate.returns import USUAL, closed_drive
@@ -439,7 +439,7 @@ class Findings(Result):
         plan = self.result.advice.best
         if plan is None:
             return ""
-        write_bytes(target, drive_bag(plan))
+        write_file(target, drive_bag(plan))
         return texts.drive_sentence(plan)
 
     def report(self) -> str:

@@ -29,7 +29,7 @@ from odomcorrupt.mapping.scan_map import (
     scan_maps,
     slow_rays,
 )
-from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
+from odomcorrupt.result_files import refuse_existing, write_file
 from odomcorrupt.rng import draw_seed
 from odomcorrupt.summary import Line
 from odomcorrupt.trajectories import read_drive, read_poses
@@ -141,12 +141,12 @@ class Maps(Result):
         descriptions = [file for file in files if file.suffix == ".yaml"]
         for one, file in zip(self.maps, descriptions, strict=False):
             image, text = format_map(one.grid, file.with_suffix(".pgm").name)
-            write_bytes(file.with_suffix(".pgm"), image)
-            write_text(file, text)
+            write_file(file.with_suffix(".pgm"), image)
+            write_file(file, text)
         if self.trajectory is not None:
             from odomcorrupt.laser.mapping import tum_text
 
-            write_text(target.with_suffix(".tum"), tum_text(self.trajectory))
+            write_file(target.with_suffix(".tum"), tum_text(self.trajectory))
         return files
 
     def _figure(self) -> Figure:

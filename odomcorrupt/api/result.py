@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.extras import require
 from odomcorrupt.report.plain import finite
-from odomcorrupt.result_files import refuse_existing, write_bytes
+from odomcorrupt.result_files import write_new
 from odomcorrupt.summary import Line, command_line
 
 if TYPE_CHECKING:
@@ -115,15 +115,15 @@ class Result(ABC):
             kind = target.suffix.lower().removeprefix(".")
             if kind not in ("png", "svg", "pdf"):
                 raise OdomCorruptError(f"{target}: does not name a picture format; end it in .png, .svg or .pdf")
-            refuse_existing(target, overwrite=overwrite)
-            write_bytes(target, rendered(figure, kind))
+            write_new(target, rendered(figure, kind), overwrite=overwrite)
         return figure
 
     def __str__(self) -> str:
         return self.brief.text()
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__}: {self.summary().headline}>"
+        verdict = self.summary().lines[0]
+        return f"<{type(self).__name__}: {' '.join(filter(None, verdict[:2]))}>"
 
     def _repr_html_(self) -> str:
         return self.brief.html()

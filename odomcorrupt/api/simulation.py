@@ -12,7 +12,7 @@ from odomcorrupt.api.result import Result
 from odomcorrupt.errors import EffectError, OdomCorruptError
 from odomcorrupt.extras import part_of_study
 from odomcorrupt.geometry.se2 import between, compose
-from odomcorrupt.result_files import refuse_existing, write_bytes, write_text
+from odomcorrupt.result_files import refuse_existing, write_file
 from odomcorrupt.rng import draw_seed
 from odomcorrupt.simulation.faults import EVERY, Hidden, draw_causes, names_of, source_of_turns
 from odomcorrupt.simulation.routes import read_commands
@@ -197,7 +197,7 @@ def simulate(
     bag = io.BytesIO()
     write_mcap(run, bag, metadata={"answer_sha256": fingerprint(text)})
     if secret is not None:
-        write_text(secret, text)
+        write_file(secret, text)
     if path is not None:
-        write_bytes(path, bag.getvalue())
+        write_file(path, bag.getvalue())
     return Simulation(path, secret, text, {"seed": seed, **settings}, run, bag.getvalue())

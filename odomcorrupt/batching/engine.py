@@ -55,7 +55,7 @@ from odomcorrupt.corruption.transform import CorrectionEdge, Run, Transform
 from odomcorrupt.effects import import_from, imported_from
 from odomcorrupt.errors import BatchError, OdomCorruptError
 from odomcorrupt.model.model_file import format_model
-from odomcorrupt.result_files import write_bytes
+from odomcorrupt.result_files import write_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
@@ -321,7 +321,7 @@ def _put_beside(job: Job, home: Path, one: _Run) -> None:
         )  # fmt: skip
     if job.spreads:
         (home / "robots").mkdir(exist_ok=True)
-        write_bytes(home / job.robot_of(run), format_model(model).encode())
+        write_file(home / job.robot_of(run), format_model(model).encode())
 
 
 def _record(job: Job, state: RunState, frame: str, *said: Sequence[str]) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from odomcorrupt.bags.output import sweep
 from odomcorrupt.errors import BagError, BatchError
 from odomcorrupt.input_files import read_input
 from odomcorrupt.model.model_file import format_model
-from odomcorrupt.result_files import write_bytes
+from odomcorrupt.result_files import write_file
 from odomcorrupt.rng import draw_seed
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def begin(job: Job, fingerprint: str) -> None:
         # a second process finds the file of the first
         with suppress(BagError):
             _make_room(job)
-            write_bytes(job.directory / BEGINNING, (json.dumps(now, indent=2) + "\n").encode(), overwrite=False)
+            write_file(job.directory / BEGINNING, (json.dumps(now, indent=2) + "\n").encode(), overwrite=False)
     then = read_beginning(job.directory)
     changed = [words for key, words in _WORDS.items() if _compared(then, key) != _compared(now, key)]
     if changed:
@@ -152,7 +152,7 @@ def begin(job: Job, fingerprint: str) -> None:
             f"{BEGINNING}), or name another directory"
         )
     _make_room(job)
-    write_bytes(job.directory / "model.toml", job.model_text.encode())
+    write_file(job.directory / "model.toml", job.model_text.encode())
 
 
 def _make_room(job: Job) -> None:
@@ -281,7 +281,7 @@ def write_manifest(directory: Path) -> int:
     while True:
         seen = _parts(directory)
         records = read_records(directory)
-        write_bytes(directory / MANIFEST, "".join(json.dumps(one) + "\n" for one in records.values()).encode())
+        write_file(directory / MANIFEST, "".join(json.dumps(one) + "\n" for one in records.values()).encode())
         if _parts(directory) == seen:
             return len(records)
 

@@ -17,7 +17,7 @@ from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import written
 from odomcorrupt.drive_types import AUTO, DRIVE_TYPES
 from odomcorrupt.extras import require
-from odomcorrupt.result_files import write_text
+from odomcorrupt.result_files import write_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -196,4 +196,4 @@ def advice_files(result: Findings, drive: Path | None, report: Path | None) -> F
         nothing = f"{path} is not written: there is no open question that another drive would answer"
         return f"wrote {path}: {said}" if said else nothing
 
-    return {**written(drive, save), **written(report, lambda path: write_text(path, result.report()))}
+    return {**written(drive, save), **written(report, lambda path: write_file(path, result.report()))}

@@ -11,7 +11,7 @@ import click
 from odomcorrupt.commands._options import MODELS, PAGE, PICTURE
 from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options
-from odomcorrupt.result_files import write_text
+from odomcorrupt.result_files import write_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -59,7 +59,7 @@ def command(
         result = compare(runs, models)
     files: dict[Path, Callable[[], object]] = {p: partial(result.plot, p, picture=name) for p, name in plots.items()}
     if report is not None:
-        files[report] = lambda: write_text(report, result.report())
+        files[report] = lambda: write_file(report, result.report())
     following = ["sim.bag", "noisy.bag", "--model" if names[-1].endswith(".toml") else "--preset", names[-1]]
     if result.fails:
         following = ["diagnose", *map(str, paths), *reading.words, names[-1]]

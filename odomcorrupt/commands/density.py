@@ -10,7 +10,7 @@ from odomcorrupt.commands._model import AlphaCommand, choose_condition, choose_m
 from odomcorrupt.commands._options import PICTURE, kind_of, pose, setting, usage_errors, valued
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import ModelError
-from odomcorrupt.result_files import write_bytes
+from odomcorrupt.result_files import write_file
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -59,7 +59,7 @@ def command(
         from odomcorrupt.report.plots.figure import rendered
 
         seed = draw_seed() if given["seed"] is None else given["seed"]
-        write_bytes(path, rendered(found.draw_beside(count, seed), kind_of(path)))
+        write_file(path, rendered(found.draw_beside(count, seed), kind_of(path)))
 
     following = ["density", *typed_words(), "--plot", "density.png"]
     if output is not None:

@@ -20,7 +20,7 @@ from odomcorrupt.commands._model import (
 from odomcorrupt.commands._options import PICTURES, OutputFile, kind_of, number, seed_option, setting, usage_errors
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words, written
 from odomcorrupt.errors import ModelError
-from odomcorrupt.result_files import write_text
+from odomcorrupt.result_files import write_file
 
 if TYPE_CHECKING:
     from odomcorrupt.api.motion import Particles, Samples
@@ -84,11 +84,11 @@ def command(bag: Path | None, output: Path | None, *, console: Console, **given:
         if kind_of(path) in PICTURES:
             drawn.plot(path)
         elif kind_of(path) == "csv":
-            write_text(path, drawn.csv())
+            write_file(path, drawn.csv())
         else:
             values = drawn.to_dict()
             del values["schema"]
-            write_text(path, json.dumps(values, indent=1) + "\n")
+            write_file(path, json.dumps(values, indent=1) + "\n")
 
     shown = drawn.then("odomcorrupt", *following)
     console.show(shown, files=written(output, write))

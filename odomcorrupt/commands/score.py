@@ -14,7 +14,7 @@ from odomcorrupt.commands._options import OUTPUT, PAGE, PICTURE, PICTURES, Outpu
 from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words
 from odomcorrupt.input_files import read_input
-from odomcorrupt.result_files import write_text
+from odomcorrupt.result_files import write_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -104,7 +104,7 @@ def command(runs: tuple[Path, ...], *, console: Console, **given: Any) -> int:
         (given["csv"], result.points_csv),
     ]  # fmt: skip
     files: dict[Path, Callable[[], object]] = {
-        path: functools.partial(lambda to, text: write_text(to, text()), path, text)
+        path: functools.partial(lambda to, text: write_file(to, text()), path, text)
         for path, text in texts
         if path is not None
     }

@@ -333,14 +333,14 @@ def test_a_folder_has_one_batch_at_a_time_but_many_shards(here, capsys):
 
 def test_of_two_that_begin_at_once_one_is_refused(here, monkeypatch, capsys):
     assert run(["batch", "in.mcap", "other", "--runs", "1", "--seed", "8"]) == 0
-    write = manifest.write_bytes
+    write = manifest.write_file
 
     def late(path, data, *, overwrite=True):
         if path.name == "batch.json" and not path.exists():
             shutil.copyfile(here / "other" / "batch.json", path)
         write(path, data, overwrite=overwrite)
 
-    monkeypatch.setattr(manifest, "write_bytes", late)
+    monkeypatch.setattr(manifest, "write_file", late)
     capsys.readouterr()
     assert batch(1) == 1
     assert "another seed" in capsys.readouterr().err

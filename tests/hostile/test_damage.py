@@ -92,10 +92,7 @@ def bomb(size):
         (lambda: chunk_of(1 << 29, bomb(1 << 24)), "a ratio that no recording has"),
         (lambda: chunk_of(1000, bomb(1 << 30)), "but unpacks to "),
         (lambda: chunk_of((1 << 30) + 1, bomb(1 << 24)), "more than the 1073741824 that a chunk may"),
-        (
-            lambda: chunk_of(9, zstandard.compress(b"\x05" + (2**63).to_bytes(8, "little")), crc=0),
-            "does not fit its 9 bytes",
-        ),
+        (lambda: chunk_of(9, zstandard.compress(b"\x05" + (2**63).to_bytes(8, "little"))), "does not fit its 9 bytes"),
         (lambda: chunk_of(4, zstandard.compress(b"abcd"), crc=zlib.crc32(b"abce")), "checksum does not match"),
     ],
     ids=["claims terabytes", "claims more", "unpacks to more", "too large", "lying record", "checksum"],
@@ -242,12 +239,21 @@ def test_a_signal_leaves_no_output_and_what_was_there(number, code, bags, tmp_pa
         while len(list(tmp_path.iterdir())) < 2 and time.monotonic() < deadline:
             time.sleep(0.01)
         process.send_signal(number)
-        said = process.stderr.read()
         assert process.wait(timeout=30) == (-number if code is None else code)
+        said = process.stderr.read()
     assert target.read_bytes() == b"what was there"
     assert b"Traceback" not in said
     if code is not None:
         assert [one.name for one in tmp_path.iterdir()] == ["out.mcap"]
+
+
+def test_a_signal_within_a_callback_is_not_lost():
+    code = (
+        "import os, sys, weakref; from odomcorrupt import cli; "
+        "cli.run = lambda _: (weakref.finalize(set(), os.kill, os.getpid(), 1), sys.stdin.read()); cli.main()"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert (process.wait(timeout=30), process.stderr.read()) == (129, b"")
 
 
 PLACES = {"mcap zstd": (0.25, 0.35), "mcap unchunked": (0.4, 0.6), "ros1 none": (0.4, 0.5), "sqlite3 file": (0.6, 0.8)}
@@ -285,13 +291,10 @@ OFFICE = FIXTURES / "office.mcap"
 def test_a_batch_with_few_descriptors_ends_and_says_why(most, tmp_path):
     words = ["batch", OFFICE, tmp_path / "runs", "--runs", "3", "--jobs", "2", "--seed", "1", "-q"]
     code, said = call(*words, limit=(resource.RLIMIT_NOFILE, most))
+    assert (code, said.count("\n")) in ((0, 0), (1, 1)), said
     if code:
-        assert code == 1
         assert said.startswith("odomcorrupt: ")
         assert "Too many open files" in said
-        assert said.count("\n") == 1
-    else:
-        assert said == ""
 
 
 @pytest.mark.parametrize("how", ["pipe recovered", "pipe learned", "cut database"])
@@ -307,8 +310,7 @@ def test_a_disk_that_is_full_is_named_as_such(how, tmp_path):
     }[how]
     with OFFICE.open("rb") as stdin:
         code, said = call(*words, limit=(resource.RLIMIT_FSIZE, 100_000), stdin=stdin)
-    assert code == 1
-    assert said.count("\n") == 1
+    assert (code, said.count("\n")) == (1, 1)
     assert "cannot be " in said
     assert "damaged" not in said
     assert "--help" not in said
@@ -346,15 +348,12 @@ def damaged(source, target, damage=DAMAGED, compression=None):
 
 
 def without_damaged(everything, damage=DAMAGED):
-    seen = dict.fromkeys(damage, 0)
+    of_topic = Counter()
     kept = []
     for message in everything:
-        topic = message[0]
-        if topic in damage:
-            seen[topic] += 1
-            if seen[topic] - 1 in damage[topic]:
-                continue
-        kept.append(message)
+        if of_topic[message[0]] not in damage.get(message[0], ()):
+            kept.append(message)
+        of_topic[message[0]] += 1
     return kept
 
 
@@ -403,9 +402,9 @@ def test_what_is_not_corrupted_is_left_out_too_so_that_the_output_can_be_studied
     assert call(bad, tmp_path / ("whole" + source.suffix), "--seed", "7")[0] == 0
     out = tmp_path / ("out" + source.suffix)
     code, said = call(bad, out, "--seed", "7", "--recover")
-    assert (code, "LOST" in said, "2 of the messages of /imu cannot be" in " ".join(said.split())) == (3, True, True), (
-        said
-    )
+    assert code == 3, said
+    assert "LOST" in said
+    assert "2 of the messages of /imu cannot be" in " ".join(said.split())
     assert [one for one in messages_in(out) if one[0] == "/imu"] == [
         one for one in without_damaged(messages_in(source), damage) if one[0] == "/imu"
     ]
