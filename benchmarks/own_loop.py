@@ -79,8 +79,8 @@ def _at(robot: Robot, t_s: np.ndarray) -> np.ndarray:
 
 
 def usual(name: str, times: float) -> Effect:
-    """Return an effect whose parameters have their usual sizes, and its amplitudes so many times these."""
-    sizes = {p.name: p.typical * (times if p.amplitude else 1.0) for p in parameters(registry()[name])}
+    """Return an effect whose parameters have their usual sizes, and its amplitudes so many times these, if possible."""
+    sizes = {p.name: min(p.typical * (times if p.amplitude else 1.0), p.high) for p in parameters(registry()[name])}
     return effect_from_values(name, sizes)
 
 

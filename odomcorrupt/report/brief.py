@@ -11,8 +11,10 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.export import WHEEL_EFFECTS, wheel_multipliers
 from odomcorrupt.report.comparison import HELD, TONES, measures_words, plainly, reproduction_sentence, size
 from odomcorrupt.report.findings import (
+    GROSS,
     SIGNIFICANT,
     alternative,
+    are_doubtful,
     clock_text,
     clocks_found,
     confidence_words,
@@ -94,8 +96,8 @@ def findings_brief(
     # errors and warnings follow the effects and dependences with evidence, and precede noise and clocks
     at = max(next((i for i, line in enumerate(lines) if line.label), len(lines)), 1)
     mounted = _mounting_words(search, fit)
-    falls = len(comparison.evaluations) == 1 or agreement_of(comparison).verdict in ("better", "mixed")
-    unexplained = is_unexplained(search, last, falls=falls)
+    falls = agreement_of(comparison).verdict in ("better", "mixed")
+    unexplained = is_unexplained(search, last, falls=falls or len(comparison.evaluations) == 1)
     named = verdict != "COMPLETE" and bool(lines) and not unexplained
     if named:
         first = ": ".join(filter(None, (lines[0].label.replace(_PERHAPS, ""), lines[0].text)))
@@ -137,7 +139,7 @@ def findings_brief(
 
 def _change_lines(search: Learned, fit: Fit, written: MotionModel | None) -> list[Line]:
     """Return what to set in the robot's odometry, if sizes of wheels or their distance were found to be wrong."""
-    sure = {one.effect.name for one in effects_found(search, fit) if one.confidence >= EVEN_ODDS and not one.negligible}
+    sure = {one.effect.name for one in effects_found(search, fit) if not are_doubtful([one])}
     own = [] if written is None else [effect for effect in written.effects if effect.name in sure & WHEEL_EFFECTS]
     if written is None or not own:
         return []
@@ -206,10 +208,11 @@ def _verdict(search: Learned, comparison: Comparison, lines: Sequence[Line]) -> 
         return _PERHAPS.upper(), "warning"
     if search.unexplained and not search.laws:
         # an effect was identified, but a dependence beside it remains unexplained
-        named = any(one.confidence >= EVEN_ODDS and not one.negligible for one in effects_found(search))
-        return "PROBABLY" if named else "UNKNOWN", "warning"
-    mixed = len(comparison.evaluations) > 1 and agreement_of(comparison).verdict in ("mixed", "worse")
-    return "MISSING", "warning" if mixed else "good"
+        return "UNKNOWN" if are_doubtful(effects_found(search)) else "PROBABLY", "warning"
+    held, last = agreement_of(comparison).verdict, comparison.evaluations[-1].verdict
+    if held == "worse" or (last.fails and last.misfit > GROSS):
+        return "PROBABLY", "warning"
+    return "MISSING", "warning" if held == "mixed" else "good"
 
 
 def _clock_words(search: Learned) -> list[str]:
@@ -266,7 +269,7 @@ def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[L
     small: dict[str, str] = {}  # texts of negligible parts by name
     absent: list[str] = []  # negligible and not in the model
     effects = effects_found(search, fit)
-    sure = any(one.confidence >= EVEN_ODDS and not one.negligible for one in effects)
+    sure = not are_doubtful(effects)
     hardly = {one.effect.name for one in effects if one.confidence < _HARDLY}
     for one in effects:
         name, said = one.effect.name, f"{one.names}  {', '.join(one.numbers)}"

@@ -15,7 +15,7 @@ from odomcorrupt.study.estimate.drive_type import readings_of
 from odomcorrupt.study.estimate.outliers import Event, events, single_events
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, part_name
 from odomcorrupt.study.estimate.windows import distance_windows, joint_rmse
-from odomcorrupt.study.select.confidence import Support, confidence, noise_support, support_of
+from odomcorrupt.study.select.confidence import EVEN_ODDS, Support, confidence, noise_support, support_of
 from odomcorrupt.study.validate.trajectory_error import clock_gain
 
 if TYPE_CHECKING:
@@ -107,21 +107,30 @@ def noise_found(learned: Learned) -> list[Found]:
     return [Found(one.effect, (), probability, one.nats) for one, probability in supports]
 
 
-_GROSS = 2.0
-"""Factor between measured and predicted errors from which noise alone is no explanation."""
+GROSS = 2.0
+"""Factor between measured and predicted errors from which noise alone is no explanation, and no cause the only one."""
 
 
 def is_unexplained(learned: Learned, last: ModelEvaluation | None, *, falls: bool = True) -> bool:
-    """Return whether held-out data reject a model in which nothing that matters, or nothing but noise, was found.
+    """Return whether held-out data reject a model without a likely cause, or travel could not be compared at all.
 
     last : evaluation of the model with all findings, if there is one
     falls : whether the held-out error or likelihood improves with the findings
     """
-    if learned.lacking or learned.unexplained or learned.hardly_errs:
+    sure = not are_doubtful(effects_found(learned))
+    if all(one.positioned and "travel not comparable" in one.ratios for one in learned.fit.problem.recordings):
+        return not (sure or learned.hardly_errs)
+    named = learned.lacking and (sure or are_doubtful(noise_found(learned)))
+    if learned.unexplained or learned.hardly_errs or named:
         return False
     # errors smaller than the noise predicts need no further cause
     misfit = last.verdict.misfit if last is not None and last.verdict.fails else 1.0
-    return not falls or misfit > _GROSS if learned.noise else misfit > 1.0
+    return not falls or misfit > GROSS if learned.noise else misfit > 1.0
+
+
+def are_doubtful(found: Iterable[Found]) -> bool:
+    """Return whether none of the findings is likely to be a cause that matters."""
+    return not any(one.confidence >= EVEN_ODDS and not one.negligible for one in found)
 
 
 class FoundDependence(NamedTuple):
@@ -618,7 +627,9 @@ def learned_json(
             before, after = (_step(sequence[i]) for i in (place, place + 1))
             keys = ("nats_per_m", "rmse_10m", "rmse_50m", "rmse_10s")
             held_out = {key: [before[key], after[key]] for key in keys}
-        found.append(_entry(one) | {"held_out": held_out} | _matters(one.effect.name, learned))
+        spans = (("10s", "ten_seconds"), ("50m", "far")) if (own := learned.contributions.get(one.effect.name)) else ()
+        moved = {key: (s := getattr(own, x)) and picked(s, "moved_m", "error_m", "travelled_m") for key, x in spans}
+        found.append(_entry(one) | {"held_out": held_out, "contribution": moved or None})
     found += map(_entry, noise_found(learned))
     mistakes = learned.fit.problem.recordings[0].mistakes
     missing = bool(learned.lacking or learned.noise or mistakes)
@@ -636,7 +647,12 @@ def learned_json(
         "mistakes": [one._asdict() for one in mistakes],
         "drive_type": {"name": learned.drive_type.name, "guessed_because": learned.drive_type.reason or None},
         "found": found,
-        "candidates": [_candidate(c) for c in learned.rounds[0].candidates],
+        "candidates": [
+            picked(c.score, "p", "held_out_nats", effect="effect.name")
+            | {"evidence_nats": c.evidence, "refused": c.refused or None}
+            | {"estimate": {p.name: v for p, v in zip(amplitudes(c.score.effect), c.score.estimate, strict=True)}}
+            for c in learned.rounds[0].candidates
+        ],
         "unknown": [
             _unknown(one) | {"negligible": learned.hardly_moves(one.law)} for one in dependences_found(learned, fit)
         ],
@@ -703,17 +719,6 @@ def _clocks_found(learned: Learned) -> Iterable[dict[str, Any]]:
         yield _entry(Found(effect, [one.error], one.confidence, 0.0)) | {"held_out": held_out}
 
 
-def _matters(name: str, learned: Learned) -> dict[str, Any]:
-    """Return whether a part of the model is negligible, and its size: lengths in metres, null if not measured."""
-    own = learned.contributions.get(name)
-    spans = () if own is None else (("10s", own.ten_seconds), ("50m", own.far))
-    return {
-        "negligible": learned.is_negligible(name),
-        "contribution": {key: span and picked(span, "moved_m", "error_m", "travelled_m") for key, span in spans}
-        or None,
-    }
-
-
 def _unknown(found: FoundDependence) -> dict[str, Any]:
     law = found.law
     return {
@@ -730,7 +735,7 @@ def _unknown(found: FoundDependence) -> dict[str, Any]:
 
 def _entry(one: Found) -> dict[str, Any]:
     more = {"alternatives": one.step.alternatives if one.step else (), "confidence": one.confidence}
-    return _effect(one.effect, one.errors) | more | {"held_out": None, "negligible": False}
+    return _effect(one.effect, one.errors) | more | {"held_out": None, "negligible": one.negligible}
 
 
 def _effect(effect: Effect, errors: Sequence[float]) -> dict[str, Any]:
@@ -743,16 +748,6 @@ def _effect(effect: Effect, errors: Sequence[float]) -> dict[str, Any]:
             p.name: {"value": getattr(effect, p.name), "standard_error": known.get(p.name), "unit": p.unit} for p in own
         },
         "words": picked(effect, *choices(effect)),
-    }
-
-
-def _candidate(candidate: Candidate) -> dict[str, Any]:
-    score = candidate.score
-    return {
-        **picked(score, "p", "held_out_nats", effect="effect.name"),
-        "evidence_nats": candidate.evidence,
-        "estimate": {p.name: v for p, v in zip(amplitudes(score.effect), score.estimate, strict=True)},
-        "refused": candidate.refused or None,
     }
 
 

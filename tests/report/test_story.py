@@ -17,7 +17,7 @@ from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.report import findings as texts
 from odomcorrupt.report.brief import _found_lines, _mounting_words, findings_brief
 from odomcorrupt.report.comparison import comparison_text, rejection, within
-from odomcorrupt.report.findings import dependences_found, effects_found, foremost, is_unexplained
+from odomcorrupt.report.findings import Found, dependences_found, effects_found, foremost, is_unexplained
 from odomcorrupt.report.html import found_html
 from odomcorrupt.report.plain import finite
 from odomcorrupt.report.plots.comparison import draw_candidates, draw_plan, draw_unknown
@@ -427,23 +427,16 @@ def test_the_fall_of_the_error_is_reported_for_ladders_alone(sequence):
 
 
 def test_values_have_units_that_a_person_thinks_in():
-    assert texts.value_text(0.1, 0.01, "rad/m") == "5.73 +- 0.57 deg/m"
-    assert texts.value_text(0.002, None, "m") == "2 mm"
-    assert texts.value_text(0.05, 0.001, "s") == "50 +- 1 ms"
-    assert texts.value_text(4.0, None, "s") == "4 s"
-    assert texts.value_text(0.01, 0.002, "") == "1 +- 0.2 %"
+    values = (0.1, 0.01, "rad/m"), (0.002, None, "m"), (0.05, 0.001, "s"), (4.0, None, "s"), (0.01, 0.002, "")
+    said = ["5.73 +- 0.57 deg/m", "2 mm", "50 +- 1 ms", "4 s", "1 +- 0.2 %"]
+    assert [texts.value_text(*value) for value in values] == said
 
 
 def test_clocks_that_are_off_have_a_line_and_others_none(searched, sequence):
-    clocks = replace(
-        searched.clocks,
-        clocks=tuple(replace(clock, offset_s=0.05, rate=2e-5) for clock in searched.clocks.clocks),
-        free=tuple((True, True) for _ in searched.clocks.clocks),
-        errors=tuple((0.001, 1e-6) for _ in searched.clocks.clocks),
-    )
-    assert texts.clock_lines(["a"], clocks) == [
-        "a: the odometry's clock is off: offset 50 +- 1 ms (confidence 0.99), skew 20 +- 1 ppm (confidence 0.99)"
-    ]
+    off = tuple(replace(clock, offset_s=0.05, rate=2e-5) for clock in searched.clocks.clocks)
+    clocks = replace(searched.clocks, clocks=off, free=((True, True),), errors=((0.001, 1e-6),))
+    said = "a: the odometry's clock is off: offset 50 +- 1 ms (confidence 0.99), skew 20 +- 1 ppm (confidence 0.99)"
+    assert texts.clock_lines(["a"], clocks) == [said]
     assert texts.clock_lines(["a"], replace(clocks, free=((False, False),))) == []
     late = findings_brief(replace(searched, clocks=clocks), NONE, replace(sequence, raw_error_m=9.0)).lines[0].text
     assert "the odometry is stamped 50 ms later than the truth; unequal_wheels  " in late
@@ -455,8 +448,7 @@ def fitted(searched, case):
 
 
 def test_a_fit_is_reported_with_its_coefficients_as_the_law_has_them(fitted):
-    text = texts.fit_text(fitted)
-    assert text.startswith("law quadratic, coefficients with 95 % intervals:")
+    assert (text := texts.fit_text(fitted)).startswith("law quadratic, coefficients with 95 % intervals:")
     assert "as the law has it" in text
     assert "  unequal_wheels: curvature -0." in text
     table = texts.laws_table({"quadratic": fitted, "other": fitted}).splitlines()
@@ -495,15 +487,13 @@ def test_where_a_law_is_included_learn_comes_next_because_it_alone_writes_laws(f
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [
-        (["learn", "{bag}", "{model}"], "`fit --start` and `diagnose` take models"),
-        (["diagnose", "{bag}", "{model}", "{other}"], "2 models given; diagnose one at a time"),
-        (["diagnose", "{bag}", "--drive", "next.bag"], "next.bag: ends in .bag; write .mcap"),
-        (["fit", "{bag}", "{model}"], "is a model; pass it with --start"),
-    ],
-)
+    [("learn {bag} {model}", "`fit --start` and `diagnose` take models"),
+     ("diagnose {bag} {model} {other}", "2 models given; diagnose one at a time"),
+     ("diagnose {bag} --drive next.bag", "next.bag: ends in .bag; write .mcap"),
+     ("fit {bag} {model}", "is a model; pass it with --start")],
+)  # fmt: skip
 def test_what_cannot_be_meant_is_refused_before_any_work(words, said, case, capsys):
-    typed = [word.format(bag=case.bag, model=case.base, other=case.robot) for word in words]
+    typed = [word.format(bag=case.bag, model=case.base, other=case.robot) for word in words.split()]
     assert run(typed) == 2
     err = capsys.readouterr().err
     assert said in err
@@ -556,18 +546,14 @@ def choice(*names, plan=BACK):
 
 @pytest.mark.parametrize(
     ("choices", "sentence"),
-    [
-        ((), ""),
-        # two names of one error: nothing is open between them
-        ((choice("wheelbase", "gyro_scale", plan=None),), ""),
-        ((choice("gyro_bias", "unequal_wheels"),), "gyro_bias from unequal_wheels: drive straights"),
-        (
-            (choice("side_slip", "mount_yaw"), choice("side_slip", "icr_shift"), choice("a", "b")),
-            "side_slip from mount_yaw or icr_shift, nor a from b: drive straights",
-        ),
-        ((choice("lever_arm", "icr_shift", plan=None),), "lever_arm from icr_shift; no drive of ten minutes would"),
-    ],
-)
+    [((), ""),
+     # two names of one error: nothing is open between them
+     ((choice("wheelbase", "gyro_scale", plan=None),), ""),
+     ((choice("gyro_bias", "unequal_wheels"),), "gyro_bias from unequal_wheels: drive straights"),
+     ((choice("side_slip", "mount_yaw"), choice("side_slip", "icr_shift"), choice("a", "b")),
+      "side_slip from mount_yaw or icr_shift, nor a from b: drive straights"),
+     ((choice("lever_arm", "icr_shift", plan=None),), "lever_arm from icr_shift; no drive of ten minutes would")],
+)  # fmt: skip
 def test_one_sentence_names_every_pair_once_and_the_drive(choices, sentence):
     told = said(*choices).removesuffix(", for 3 minutes").removeprefix("These data cannot separate ")
     assert told == sentence
@@ -691,10 +677,24 @@ def test_an_effect_with_evidence_is_not_called_untestable():
 
 
 @pytest.mark.parametrize(
-    ("misfit", "noise", "expected"), [(0.5, (), False), (1.4, (), True), (1.4, (1,), False), (3.0, (1,), True)]
-)
-def test_only_errors_larger_than_predicted_lack_a_cause(misfit, noise, expected):
-    learned = SimpleNamespace(lacking=(), unexplained=(), noise=noise, hardly_errs=False)
+    ("misfit", "noisy", "ratios", "expected"),
+    [(0.5, False, "", False), (1.4, False, "", True), (1.4, True, "", False), (3.0, True, "", True),
+     (1.0, False, "in 1 s, truth over odometry: travel not comparable, turns 1", True)],
+)  # fmt: skip
+def test_errors_larger_than_predicted_and_travel_alone_lack_a_cause(poor, rich, misfit, noisy, ratios, expected):
+    problem = replace(poor.fit.problem, recordings=[replace(one, ratios=ratios) for one in poor.fit.problem.recordings])
+    learned = replace(poor, noise=rich.noise if noisy else (), fit=replace(poor.fit, problem=problem))
     last = SimpleNamespace(verdict=SimpleNamespace(fails=True, misfit=misfit))
     assert is_unexplained(learned, last) == expected
-    assert not is_unexplained(SimpleNamespace(lacking=(), unexplained=(1,), noise=noise), last)
+    assert is_unexplained(replace(learned, unknown=UNKNOWNS[:1]), last) == bool(ratios)
+
+
+def test_noise_is_no_headline_beside_doubtful_effects_that_leave_errors(rich, sequence, monkeypatch):
+    known, last = replace(rich, unknown=(), laws=()), sequence.evaluations[0]
+    only = replace(sequence, evaluations=(replace(last, verdict=replace(last.verdict, misfit=3.0)),))
+    assert findings_brief(known, NONE, only).lines[0].label == "PROBABLY"
+    sure = [Found(rich.noise[0].effect, (), 0.9, 25.0)]
+    for module in ("odomcorrupt.report.brief", "odomcorrupt.report.findings"):
+        monkeypatch.setattr(f"{module}.effects_found", doubted(0.27))
+        monkeypatch.setattr(f"{module}.noise_found", lambda _: sure)
+    assert findings_brief(known, NONE, only).lines[0].label == "UNKNOWN"

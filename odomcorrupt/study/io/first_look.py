@@ -540,10 +540,9 @@ def first_look(look: Look) -> FirstLook:
                 raise RecordingError(". ".join(one.sentence for one in found))
             gains, band_radps = figures.get("gains", gains), figures.get("dead_band_radps", band_radps)
             look = look.having(i := figures.get("i", 0), undo(look.paths[i]))
-    sure = [(what, r) for what, r in zip(("travels", "turns"), look.scales, strict=True) if r.sure]
-    times = ["" if abs(r.value - 1.0) < r.spread else f"{r.value:.3g} times " for _, r in sure]
-    parts = [f"{what} {by}as far (+-{r.spread:.1%})" for (what, r), by in zip(sure, times, strict=True)]
-    words = f"in {look.window_s:.2g} s the truth {' and '.join(parts)} as the odometry" if parts else ""
+    scales = zip(("travel", "turns"), look.scales, strict=True)
+    seen = [f"{what} {r.value:.3g} (+-{r.spread:.1%})" if r.sure else f"{what} not comparable" for what, r in scales]
+    words = f"in {look.window_s:.2g} s, truth over odometry: {', '.join(seen)}"
     return FirstLook(*look.paths, tuple(found), gains, band_radps, words)
 
 
