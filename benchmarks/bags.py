@@ -244,6 +244,8 @@ def main() -> None:
     parser.add_argument("--cpp", type=Path, help="loop_cpp, compiled")
     parser.add_argument("--slope", action="store_true", help="bags of 1, 3 and 10 times the length: cost of a GB")
     given = parser.parse_args()
+    if given.folder is not None and not given.folder.is_dir():
+        sys.exit(f"{given.folder}: is not a directory; create it first")
     if given.slope:
         print(
             "| bag | command | time | of no bytes, s | per GB, s (least to most) | of cp's |\n|---|---|---|---|---|---|"

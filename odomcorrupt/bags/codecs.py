@@ -150,29 +150,6 @@ def zstd_pieces(packed: Packed) -> Iterator[bytes]:
             frame.decompress(_exactly(packed, 4))
 
 
-def end_of_frame(data: memoryview) -> int:
-    """Return where the Zstandard frame ends that bytes begin with, by the lengths in it.
-
-    Of a truncated frame the end is unknown, and behind that of the bytes.
-
-    Raises
-    ------
-    zstandard.ZstdError
-        If they do not begin as a frame does.
-    """
-    parameters = zstandard.get_frame_parameters(data)
-    at = zstandard.frame_header_size(data)
-    last = 0
-    # as `_block` says, without a call for each: a chunk of 1 MB may have a hundred blocks
-    while not last:
-        if at + 3 > len(data):
-            return len(data) + 1
-        number = data[at] | data[at + 1] << 8 | data[at + 2] << 16
-        last = number & 1
-        at += 4 if number & 6 == _RUN_LENGTH_BLOCK << 1 else 3 + (number >> 3)
-    return at + (4 if parameters.has_checksum else 0)
-
-
 def _block(head: bytes | memoryview) -> tuple[int, int]:
     """Return whether a block of a Zstandard frame is the last, and its compressed size, bytes, by its head."""
     number = int.from_bytes(head, "little")
@@ -330,10 +307,17 @@ def _unzstd(data: memoryview, size: int, pool: BufferPool) -> tuple[NDArray[np.u
 
 
 def _is_one_frame(data: memoryview, size: int) -> bool:
-    """Return whether bytes are a single whole Zstandard frame that states this size."""
-    with suppress(zstandard.ZstdError):
-        return zstandard.get_frame_parameters(data).content_size == size and end_of_frame(data) == len(data)
-    return False
+    """Return whether bytes are a single whole Zstandard frame that states this size, by the lengths in it."""
+    try:
+        found, at, end, last = zstandard.get_frame_parameters(data), zstandard.frame_header_size(data), len(data), 0
+    except zstandard.ZstdError:
+        return False
+    # as `_block` says, without a call for each: a chunk of 1 MB may have hundreds of blocks
+    while not last and at + 3 <= end:
+        number = data[at] | data[at + 1] << 8 | data[at + 2] << 16
+        last = number & 1
+        at += 4 if number & 6 == _RUN_LENGTH_BLOCK << 1 else 3 + (number >> 3)
+    return bool(last) and at + 4 * found.has_checksum == end and found.content_size == size
 
 
 def require_level(codec: str, level: int | None) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
+from functools import cache
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import numpy as np
@@ -418,7 +419,7 @@ def gather_stamps_ns(block: Block, layout: Layout, item: Item) -> NDArray[np.int
     """Return the header stamps (n,) in nanoseconds since 1970; zeros where the type has none."""
     if item.stamp < 0:
         return np.zeros(layout.starts.size, dtype=np.int64)
-    raw = windows(block.data, 8)[layout.starts + item.stamp].view(_stamp_type(layout))
+    raw = windows(block.data, 8)[layout.starts + item.stamp].view(_stamp_type(layout.order, layout.unsigned_seconds))
     return raw["s"].astype(np.int64) * SECOND_NS + raw["ns"]
 
 
@@ -446,7 +447,7 @@ def scatter_stamps_ns(block: Block, layout: Layout, item: Item, stamps_ns: NDArr
         If a stamp does not fit into the message's 32 bits of seconds.
     """
     seconds, nanoseconds = np.divmod(stamps_ns, SECOND_NS)
-    kind = _stamp_type(layout)
+    kind = _stamp_type(layout.order, layout.unsigned_seconds)
     limits = np.iinfo(kind["s"])
     if np.any((seconds < limits.min) | (seconds > limits.max)):
         raise BagError(
@@ -478,8 +479,9 @@ def _matches(
     return same
 
 
-def _stamp_type(layout: Layout) -> np.dtype[np.void]:
-    return np.dtype([("s", layout.order + "iu"[layout.unsigned_seconds] + "4"), ("ns", layout.order + "u4")])
+@cache
+def _stamp_type(order: str, unsigned: bool) -> np.dtype[np.void]:  # noqa: FBT001 - for the cache
+    return np.dtype([("s", order + "iu"[unsigned] + "4"), ("ns", order + "u4")])
 
 
 def pack_transform(encoding: str, stamp_ns: int, frames: tuple[str, str], xyt: tuple[float, float, float]) -> bytes:

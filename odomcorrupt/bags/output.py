@@ -13,7 +13,7 @@ import stat
 import sys
 import threading
 import zlib
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,8 +24,6 @@ from odomcorrupt.bags.pipeline import OrderedResults
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from contextlib import AbstractContextManager
-
     from odomcorrupt.bags.pipeline import Workers
 
 _BAG_SUFFIXES = (".yaml", ".db3", ".mcap", ".db3-wal", ".db3-shm", ".zstd", ".zst")
@@ -193,12 +191,12 @@ _CHANGED = "changed while it was read; the output is discarded, run again once t
 class FileCopy:
     """Running copy of a file, from one position to the end; ends early if the system has no such call, or it fails.
 
-    paused : lock without which no call begins. What is written over the copy is written under it, many pieces at once:
-        each would wait for the lock of the file until a call ends
     source : file to be copied
     target : descriptor of the file that is written. Its file offset does not change
     begin : position of the first byte to copy
     state : state of the source when it was read; by default its present state
+    paused : lock without which no call begins. What is written over the copy is written under it, many pieces at once:
+        each would wait for the lock of the file until a call ends
 
     Raises
     ------
@@ -206,7 +204,10 @@ class FileCopy:
         If the source cannot be opened, or is not the file that was read.
     """
 
-    def __init__(self, source: Path, target: int, begin: int = 0, state: list[int] | None = None) -> None:
+    def __init__(
+        self, source: Path, target: int, begin: int = 0, state: list[int] | None = None,
+        paused: threading.Lock | None = None,
+    ) -> None:  # fmt: skip
         self._path = source
         self._source, self._target = os.open(source, os.O_RDONLY | getattr(os, "O_BINARY", 0)), target
         self._state = state_of(self._source)
@@ -216,7 +217,7 @@ class FileCopy:
         self._position = begin
         self._ended = self._stopped = False
         self._progress = threading.Condition()
-        self.paused = threading.Lock()
+        self._paused = paused or threading.Lock()
         self._thread = threading.Thread(target=self._run, name="copy", daemon=True)
         self._thread.start()
 
@@ -247,7 +248,7 @@ class FileCopy:
         with suppress(OSError, AttributeError):
             while not self._stopped and (left := self._state[0] - self._position) > 0:
                 at = self._position
-                with self.paused:
+                with self._paused:
                     pass
                 done = os.copy_file_range(self._source, self._target, min(left, _AT_ONCE_BYTES), at, at)
                 if not done:
@@ -264,11 +265,9 @@ _AT_POSITIONS = hasattr(os, "pwrite")
 """Whether several threads can write to a file."""
 
 
-def _write_at(
-    descriptor: int, pieces: list[tuple[int, bytearray | memoryview]], pause: AbstractContextManager[object]
-) -> None:
+def _write_at(descriptor: int, pieces: list[tuple[int, bytearray | memoryview]], alone: threading.Lock) -> None:
     """Write pieces of a file, each at its position."""
-    with pause:
+    with alone:
         for position, piece in pieces:
             view, at = memoryview(piece), position
             while view:
@@ -350,6 +349,7 @@ class Output:
         self._kept: list[tuple[int, bytearray | memoryview]] = []  # pieces not yet written, and where they belong
         self._kept_bytes = 0
         self.writes = OrderedResults(None)
+        self._alone = threading.Lock()  # two threads that write to one file would burn time until one may
         self._copy: FileCopy | None = None
         self._over: FileCopy | None = None  # the same, as long as bytes are written over it
 
@@ -440,8 +440,7 @@ class Output:
     def _flush(self) -> None:
         """Write what was kept, or have a thread do it."""
         if self._kept and self._stream is not None:
-            pause = nullcontext() if self._over is None else self._over.paused
-            write = partial(_write_at, self._stream.fileno(), self._kept, pause)
+            write = partial(_write_at, self._stream.fileno(), self._kept, self._alone)
             size, self._kept, self._kept_bytes = self._kept_bytes, [], 0
             self.writes.put(write, lambda _: None, size)
 
@@ -462,7 +461,8 @@ class Output:
         if self._copy is None:
             self._flush()
             with suppress(OSError):  # the input was moved or replaced; the reader's open file is still valid
-                self._copy = self._over = FileCopy(original.path, stream.fileno(), self.position, original.state)
+                copied = original.path, stream.fileno(), self.position, original.state
+                self._copy = self._over = FileCopy(*copied, self._alone)
         return self._over
 
     def rewrite(self, position: int, data: bytes) -> None:

@@ -128,40 +128,46 @@ def _advice(size: int) -> str:
     return f"--max-unpacked {gib}GiB allows it"
 
 
-ARENA_BYTES = 8 << 20
-"""What is put side by side: with less, NumPy has fewer messages at once; more does not stay in the cache."""
+ARENA_BYTES = 11 << 20
+"""What is put side by side: with less, NumPy has fewer messages at once; some four such pieces of memory are in use."""
 
 
 class BufferPool:
     """Allocator of chunk buffers.
 
     sparse : whether few bytes of each are written to, so that more lie side by side: only these pages take memory
+    left : bytes for which there is room directly after the previous buffer; if it is set to 0, the next lies elsewhere
     """
 
     def __init__(self, *, sparse: bool = False) -> None:
         self._sparse = sparse
-        self._free: list[NDArray[np.uint8]] = []
+        self._lent: dict[int, tuple[object, NDArray[np.uint8]]] = {}
+        self._unused: list[object] = []  # references to what is no longer lent
         self._buffer: NDArray[np.uint8] = np.empty(0, dtype=np.uint8)
-        self._used = 0
+        self.left = 0
 
     def place(self, size: int) -> NDArray[np.uint8]:
         """Return a writable buffer (size,), placed directly after the previous one if there is room."""
         if size > ARENA_BYTES and not self._sparse:
             return np.empty(size, dtype=np.uint8)
-        if size > self._buffer.size - self._used:
-            self._buffer, self._used = np.empty(0, dtype=np.uint8), 0
+        if size > self.left:
+            self._buffer = np.empty(0, dtype=np.uint8)
             if self._sparse:
                 pages = mmap.mmap(-1, 16 * ARENA_BYTES, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
                 pages.madvise(mmap.MADV_NOHUGEPAGE)
                 self._buffer = np.frombuffer(pages, dtype=np.uint8)
             else:
                 # not zeroed: a short bag never touches most of it
-                memory = self._free.pop() if self._free else np.empty(ARENA_BYTES, dtype=np.uint8)
+                memory = self._lent.pop(id(self._unused.pop()))[1] if self._unused else np.empty(ARENA_BYTES, np.uint8)
                 self._buffer = np.frombuffer(memory.data, dtype=np.uint8)
-                # All buffers are views of this array: without the last of them, the memory is free.
-                weakref.finalize(self._buffer, self._free.append, memory).atexit = False
-        self._used += size
-        return self._buffer[self._used - size : self._used]
+                # All buffers are views of this array: without the last of them, the memory is unused. No function in
+                # Python is called then, from which the exception of a signal's handler would be lost.
+                view = weakref.ref(self._buffer, self._unused.append)
+                self._lent[id(view)] = view, memory
+            self.left = self._buffer.size
+        begin = self._buffer.size - self.left
+        self.left -= size
+        return self._buffer[begin : begin + size]
 
 
 def lies_behind(data: NDArray[np.uint8], before: NDArray[np.uint8]) -> bool:

@@ -17,7 +17,7 @@ from odomcorrupt import __version__
 from odomcorrupt.bags.block import TABLE, PartContents, require_all, with_ids
 from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.chunk import windows
-from odomcorrupt.bags.codecs import compress, require_level
+from odomcorrupt.bags.codecs import compress
 from odomcorrupt.bags.definition import LAST_ID, OutputChannels, retyped, with_common_text
 from odomcorrupt.bags.mcap.chunk import (
     CODECS,
@@ -355,13 +355,9 @@ class Packed(NamedTuple):
 
 def packed(codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
     """Return a chunk's records compressed, with their CRC-32."""
-    crc = crc32(data.data)
-    require_level(codec, level)
-    if codec == "none":
-        return Packed(data.data, crc, crc)
-    compressed = compress(codec, data, level)
+    crc, compressed = crc32(data.data), compress(codec, data, level)
     # in the thread that has the data in its cache
-    return Packed(compressed, crc, crc32(compressed))
+    return Packed(compressed, crc, crc if codec == "none" else crc32(compressed))
 
 
 class McapWriter(OutputContext):
