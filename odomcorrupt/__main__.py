@@ -10,6 +10,7 @@ empty entry in PYTHONPATH put it there.
 
 # Python's `signal` is this module with names as enumerations, which take a tenth of the start-up time to import.
 import _signal  # type: ignore[import-not-found]
+import gc
 import os
 import sys
 
@@ -27,6 +28,8 @@ def main() -> None:
     if not __file__.startswith(f"{here}{os.sep}odomcorrupt{os.sep}"):
         sys.path[:] = [entry for entry in sys.path if entry not in ("", here)]
     os.environ["PYTHONSAFEPATH"] = "1"  # for workers of a batch that start Python again
+    # imports create many objects and little garbage
+    gc.set_threshold(50_000)
     from odomcorrupt.cli import main as run_main  # noqa: PLC0415 - see above
 
     run_main()

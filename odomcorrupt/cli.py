@@ -177,8 +177,7 @@ def _unwind_on_signals() -> None:
     for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
         signal.signal(number, handle)
     signal.setitimer(signal.ITIMER_REAL, 1.0, 1.0)
-    ends = (SystemExit, KeyboardInterrupt)
-    keep = lost.append
+    keep, ends = lost.append, (SystemExit, KeyboardInterrupt)
     sys.unraisablehook = lambda x: keep(x.exc_value) if isinstance(x.exc_value, ends) else sys.__unraisablehook__(x)
 
 
@@ -190,8 +189,6 @@ def main() -> NoReturn:
     # the study limits threads of linear algebra itself (`extras.part_of_study`); none at all start faster
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     _unwind_on_signals()
-    # imports create many objects and little garbage
-    gc.set_threshold(50_000)
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as in the background of a shell
         signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
