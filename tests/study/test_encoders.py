@@ -107,11 +107,9 @@ def test_independent_losses_of_both_wheels_are_named_once_for_each():
 
 @pytest.mark.parametrize(
     ("tick_m", "late"),
-    [
-        *((tick_m, {}) for tick_m in (1e-4, 2e-3, 5e-3, 2e-2, 3e-2)),
-        *((tick_m, {"late": 0.01, "late_by": by}) for tick_m in (1e-4, 2e-3) for by in ((1.0, 1.0), (0.0, 1.0))),
-    ],
-)
+    [*((tick_m, {}) for tick_m in (1e-4, 2e-3, 5e-3, 2e-2, 3e-2)),
+     *((tick_m, {"late": 0.01, "late_by": by}) for tick_m in (1e-4, 2e-3) for by in ((1.0, 1.0), (0.0, 1.0)))],
+)  # fmt: skip
 def test_ticks_and_counts_of_both_wheels_or_of_one_that_come_late_are_not_lost(tick_m, late):
     assert not losses_named(counted(tick_m, **late)[0])
 
@@ -243,15 +241,13 @@ def test_lost_messages_are_kept_because_each_is_restored():
 
 @pytest.mark.parametrize(
     ("noise", "per_message"),
-    [
-        (Noise("diffusion", Coefficients(0.1, 0.1, 0.1, 0.1)), False),
-        (Noise("diffusion", Coefficients(0.1, 0.1, 0.1, 0.1, rot_time=0.01)), False),
-        (Noise("diffusion", Coefficients(0.1, 0.1, 0.1, 0.1, white_omega=0.01)), True),
-        (Noise("quadratic", Coefficients(0.1, 0.1, 0.1, 0.1)), True),
-        (Noise("quadratic", Coefficients(0.0, 0.0, 0.0, 0.0)), False),
-        (Noise("quadratic", Coefficients(0.1, 0.1, 0.1, 0.1), Step.parse("0.25m,0.2rad")), False),
-    ],
-)
+    [(Noise("diffusion", Coefficients(0.1, 0.1, 0.1, 0.1)), False),
+     (Noise("diffusion", Coefficients(0.1, 0.1, 0.1, 0.1, rot_time=0.01)), False),
+     (Noise("diffusion", Coefficients(0.1, 0.1, 0.1, 0.1, white_omega=0.01)), True),
+     (Noise("quadratic", Coefficients(0.1, 0.1, 0.1, 0.1)), True),
+     (Noise("quadratic", Coefficients(0.0, 0.0, 0.0, 0.0)), False),
+     (Noise("quadratic", Coefficients(0.1, 0.1, 0.1, 0.1), Step.parse("0.25m,0.2rad")), False)],
+)  # fmt: skip
 def test_noise_of_every_message_depends_on_the_rate(noise, per_message):
     assert noise.per_message is per_message
 
@@ -314,16 +310,14 @@ def test_correction_reads_slow_turns_from_single_steps_among_zeros():
 
 def found(steps, xyt):
     """Return the effect that is included on a recording."""
-    made = recording(steps, xyt, seed=4)
-    made = replace(made, track_m=BASE_M)
+    made = replace(recording(steps, xyt, seed=4), track_m=BASE_M)
     start = fit([made], approach=choose_approach([made]))
     family = LibraryTerm.family(registry()["truncated_velocity"], start.problem.motions)
     search = ShapeSearch(start, DECISIONS)
     best = search.maximise(search.located(family)[0])
     forms = [best, *best.with_words(tuple(choices(best.start)))]
-    fits = [
-        start.refit((score.estimated,), weights_of=start) for score in score_terms(start, forms, Dictionary(DECISIONS))
-    ]
+    scores = score_terms(start, forms, Dictionary(DECISIONS))
+    fits = [start.refit((score.estimated,), weights_of=start) for score in scores]
     (effect,) = max(fits, key=lambda one: one.log_likelihood).refit().effects
     return effect
 

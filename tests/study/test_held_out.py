@@ -45,7 +45,7 @@ from odomcorrupt.study.select.shape_search import CoarseDesign, ShapeSearch
 from odomcorrupt.study.terms.basis import basis_functions
 from odomcorrupt.study.terms.channels import actions_on, every_action
 from odomcorrupt.study.terms.splines import curve_regressors
-from odomcorrupt.study.terms.term import BasisTerm, library_families, neighbours
+from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm, library_families, neighbours
 from odomcorrupt.study.validate.compare import clocks_beside, compare
 from odomcorrupt.study.validate.held_out import drop_unsupported_parts, without_parts
 from odomcorrupt.study.validate.round_trip import RoundTrip, _corrected_error, _drive, _fitted_error, verified_model
@@ -224,6 +224,12 @@ def test_a_slope_is_applied_in_its_frame_only_and_that_is_noted(on_slope, other_
     assert "slope not applied" in " ".join(named.notes)
     same = compare([replace(other_slope, frame="map of 4")], {"slope": model}).evaluations[0]
     assert same.ten_second_error_m > 1.2 * without.ten_second_error_m
+
+
+def test_on_one_heading_a_slope_is_no_more_than_a_scale_and_a_yaw(one_slope):
+    (motion,) = pose_problem([one_slope], approach=Approach()).motions
+    assert len(LibraryTerm.family(Slope, [motion])) == 12
+    assert not LibraryTerm.family(Slope, [replace(motion, theta=1.0 + 0.1 * np.sin(motion.theta))])
 
 
 @pytest.mark.slow

@@ -68,9 +68,7 @@ class Interval:
     @property
     def standard_error(self) -> float:
         """Symmetric standard error equivalent to the interval; from its lower side if the upper one is unbounded."""
-        if not isfinite(self.high):
-            return (self.value - self.low) / 1.96
-        return (self.high - self.low) / (2.0 * 1.96)
+        return (self.value - self.low) / 1.96 if not isfinite(self.high) else (self.high - self.low) / (2.0 * 1.96)
 
 
 def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:

@@ -230,9 +230,7 @@ def intervals_between(
 
 def memory_over(way_m: Array, correlation_m: float) -> Array:
     """Return the correlation (K,) of a truth's errors over path lengths (K,): exponential, at most `_MOST_MEMORY`."""
-    if correlation_m <= 0.0:
-        return np.zeros(len(way_m))
-    return np.minimum(np.exp(-way_m / correlation_m), _MOST_MEMORY)
+    return np.zeros(len(way_m)) if correlation_m <= 0.0 else np.minimum(np.exp(-way_m / correlation_m), _MOST_MEMORY)
 
 
 def join(parts: Sequence[Intervals], before: Sequence[int]) -> Intervals:

@@ -110,9 +110,7 @@ class MotionSmoother:
     @cached_property
     def recorded(self) -> Motion:
         """Smooth motion of the unchanged recording."""
-        if self._side == "odometry":
-            return self._motion(*self.odometry.smooth)
-        return self.motion(self.recording)
+        return self._motion(*self.odometry.smooth) if self._side == "odometry" else self.motion(self.recording)
 
     def motion(self, recording: Recording) -> Motion:
         """Return the smooth motion of the recording with other odometry at the same stamps."""

@@ -73,7 +73,7 @@ def read_motions(path: Path, shift_s: float = 0.0) -> Motions:
         table = list(itertools.islice(whole_rows(rows, len(header.cells), notes), _MAX_LINES))
     if len(table) < FEWEST:
         raise RecordingError(f"{place}: holds {len(table)} relative motions; {FEWEST} and more are needed")
-    tick = guess_tick([row.number(at[0]) for row in table[:1000]])
+    tick = guess_tick([row.number(at[0]) for row in table])
     start, end = (np.array([row.nanoseconds(one, tick) for row in table]) + round(shift_s * 1e9) for one in at[:2])
     values = np.array([[row.number(one) for one in at[2:]] for row in table])
     if not np.isfinite(values).all():

@@ -52,9 +52,7 @@ def even_stamps(path: Samples) -> Samples:
         return path
     said = f"stamps are rounded to {rounded_s * 1e3:g} ms: a clock that is off by less than half of that cannot be seen"
     even = evened(path.stamps_ns)
-    if even is None:
-        return path.noted(said)
-    return path.stamped(even).noted(f"{said}; they were spaced evenly")
+    return path.noted(said) if even is None else path.stamped(even).noted(f"{said}; they were spaced evenly")
 
 
 def clock_steps(path: Samples) -> list[Step]:

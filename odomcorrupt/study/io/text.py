@@ -4,7 +4,8 @@ TUM: `stamp x y z qx qy qz qw` in seconds and metres, separated by white space; 
 CSV: a header names the columns, of which time, x and y are required and a heading (yaw, theta, or a quaternion) is
 optional. Names are split into words: `field.pose.pose.position.x`, `pos_x [m]`, `p_RS_R_x [m]` and `x` are all x.
 Units are read from the names (`yaw_deg`, `stamp [ns]`, `x_mm`); the defaults are metres and radians. Times without a
-unit are in s, ms, us or ns, whichever brings the steps between the first lines closest to 50 ms, a usual period.
+unit are in s, ms, us or ns, whichever brings the steps between the first lines closest to 50 ms, a usual period, and
+the recording to 10 s or more.
 An export of OptiTrack Motive has a line each for the types, quantities and axes of its columns; Y is up, unless the
 height changes far more than the way across. Lines have a largest length, because the input is untrusted.
 """
@@ -141,11 +142,10 @@ def guess_tick(times: Sequence[float]) -> int:
     if not len(steps):
         return 10**9
 
-    def strangeness(tick: int) -> float:
-        undated = 0.0 if _DATES[0] < stamps[0] * tick < _DATES[1] else 1.5
-        return abs(float(np.log10(np.median(steps) * tick / _STEP_NS))) + undated
-
-    return min((10**9, 10**6, 10**3, 1), key=strangeness)
+    ticks = np.array([10**9, 10**6, 10**3, 1])
+    dated = (_DATES[0] < stamps[0] * ticks) & (stamps[0] * ticks < _DATES[1])
+    brief = np.ptp(stamps) * ticks < 200.0 * _STEP_NS  # 10 s, too short for a study
+    return int(ticks[np.argmin(np.abs(np.log10(np.median(steps) * ticks / _STEP_NS)) + 1.5 * ~dated + 2.0 * brief)])
 
 
 def _read(cell: str) -> _Name:

@@ -124,9 +124,7 @@ def held_out_errors(nats: float, error: float) -> float:
     Gains of blocks differ also because a drive excites the effect in some of them only. If the noise model is right,
     the standard deviation of a gain of G nats is sqrt(2 G), so the smaller of the two is used.
     """
-    if error == inf:
-        return inf
-    return nats / max(min(error, sqrt(2.0 * nats) if nats > 0.0 else inf), 1e-9)
+    return inf if error == inf else nats / max(min(error, sqrt(2.0 * nats) if nats > 0.0 else inf), 1e-9)
 
 
 def noise_support(one: DetectedRandomEffect, learned: Learned) -> Support:

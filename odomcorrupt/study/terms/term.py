@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, TypeAlias, TypeVar
 import numpy as np
 
 from odomcorrupt.effects import registry
+from odomcorrupt.effects.compensation import error_of
 from odomcorrupt.effects.effect import amplitudes, choices, shapes
 from odomcorrupt.effects.expression import UserEffect, user_effect
 from odomcorrupt.effects.wheels import brings_track
@@ -67,9 +68,9 @@ class LibraryTerm:
 
     @classmethod
     def family(cls, kind: type[Effect], motions: Sequence[Motion]) -> tuple[LibraryTerm, ...]:
-        """Return terms of an effect at every shape to be tried on these motions; none if it cannot act."""
+        """Return terms of an effect at every shape to be tried; none if it cannot act, or only as a scale does."""
         scanned = tuple(kind.scan(motions))
-        return tuple(cls(effect, len(scanned)) for effect in scanned)
+        return tuple(cls(one, len(scanned)) for one in scanned if not (kind.reads_places and _is_global(one, motions)))
 
     @property
     def name(self) -> str:
@@ -233,6 +234,14 @@ class BasisTerm:
         for name, value in zip(COEFFICIENTS, coefficients, strict=False):
             text = re.sub(rf"\b{name}\b", f"{float(value):.4g}", text)
         return self.action.written(text)
+
+
+def _is_global(effect: Effect, motions: Sequence[Motion]) -> bool:
+    """Return whether an effect of places or headings has one error per metre nearly wherever the robot moved."""
+    unit = replace(effect, **{p.name: p.typical for p in amplitudes(effect)})  # type: ignore[type-var]
+    rows = [np.column_stack((np.abs(m.v), error_of(unit, m))) * np.sqrt(m.dt_s)[:, None] for m in motions]
+    gram = np.asarray(sum(own.T @ own for own in rows))
+    return bool(np.sum(gram[0, 1:] ** 2) > _NEARLY * gram[0, 0] * np.trace(gram[1:, 1:]))
 
 
 Term: TypeAlias = LibraryTerm | BasisTerm

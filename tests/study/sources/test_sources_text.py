@@ -15,7 +15,7 @@ from odomcorrupt.commands._recordings import recording_options
 from odomcorrupt.commands._standard import Console
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.io import Source, read_runs
-from odomcorrupt.study.io.text import is_text, read_text
+from odomcorrupt.study.io.text import guess_tick, is_text, read_text
 
 
 def seconds(stamp_ns):
@@ -124,6 +124,7 @@ def test_stamps_that_count_from_the_start_are_read_by_their_steps_and_it_is_said
     samples = read_text(table(tmp_path / "t.csv", relative, "t,x,y,yaw", f"{{{unit}}},{{x}},{{y}},{{yaw}}"), "t.csv")
     assert np.abs(samples.stamps_ns - relative.stamps_ns).max() < 1000
     assert samples.notes == (f"t.csv: stamps read as {word}",)
+    assert guess_tick(np.arange(0.0, 300.0, 2.0)) == 10**9  # not 0.3 s of milliseconds
 
 
 def test_without_headings_a_table_holds_positions(tmp_path):
