@@ -32,7 +32,6 @@ from odomcorrupt.study.estimate.windows import time_windows
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.validate.compare import compare
-from odomcorrupt.study.validate.held_out import drop_unsupported_parts
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -89,7 +88,7 @@ def halves(runs: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]
 def held_out(learning: Sequence[Recording], judging: Sequence[Recording]) -> HeldOut | str:
     """Learn on some recordings, and judge the effects that were found on others."""
     try:
-        learned = drop_unsupported_parts(learn(learning))[0]
+        learned = learn(learning)
         fits = {
             name: fit_robot(learning, effects, law_name="diffusion", clocks=learned.clocks)
             for name, effects in (
@@ -127,7 +126,7 @@ def against_the_laser(runs: Sequence[Recording]) -> list[str]:
 
 def learned_names(runs: Sequence[Recording]) -> str:
     """Return what is learned from a whole drive, with the sizes."""
-    learned = drop_unsupported_parts(learn(runs))[0]
+    learned = learn(runs)
     errors = iter(learned.fit.standard_errors)
     found = []
     for effect in learned.fit.effects:

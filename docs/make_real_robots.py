@@ -29,7 +29,6 @@ from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.validate.compare import compare
-from odomcorrupt.study.validate.held_out import drop_unsupported_parts
 from odomcorrupt.study.validate.predictive_check import Replay, replay
 
 if TYPE_CHECKING:
@@ -66,8 +65,8 @@ and cut into windows of path that do not overlap. The measured odometry of a win
 exceeds, in 19 of 20 cases. Windows are few: a right model, too, may have 4 of 6.
 
 The log score falls on Create 2, by 13 nats per metre with a standard error of 17. Models are those of `odomcorrupt
-learn`, without parts that clearly increase the error on held-out halves. Lengths are in m, angles in rad unless stated;
-the noise law is `diffusion`. `docs/make_real_robots.py` makes this page.
+learn`. Lengths are in m, angles in rad unless stated; the noise law is `diffusion`. `docs/make_real_robots.py` makes
+this page.
 """
 
 COMMANDS = """\
@@ -170,7 +169,7 @@ def recordings(folder: Path, robot: Robot) -> tuple[list[Recording], Recording]:
 def section(folder: Path, robot: Robot) -> list[str]:
     """Learn, corrupt, judge, draw; return the robot's part of the page."""
     learning, judging = recordings(folder, robot)
-    learned = drop_unsupported_parts(learn(learning))[0]
+    learned = learn(learning)
     random = [gain.effect for gain in learned.noise]
     known = {"noise alone": [], "with what was learned": [*learned.fit.effects, *random]}
     fits = {
@@ -276,7 +275,7 @@ def verdict(evaluation: ModelEvaluation, paths: Replay, judging: Recording) -> l
     rates = [f for f in evaluation.failures if f.kind in {"motion", "place", "time"}]
     lines = [f"**Not covered** over {where}." + (" What is left, odometry minus truth:" if rates else "")]
     lines += ["", *(f"- {sentence(f)}" for f in rates[:2])] if rates else []
-    own = drop_unsupported_parts(learn([judging]))[0]
+    own = learn([judging])
     names = [*own.added, *(gain.effect.name for gain in own.noise)]
     unknown = [dependence(u) for u in own.unknown[:3]]
     known = f"**What would explain it**, learned on the evaluated run itself: {', '.join(names) or 'no known effect'}"

@@ -87,17 +87,17 @@ def findings_brief(
     notes, alerts : the reader's notes on the recordings, and findings that are shown in any case
     reproduction : drift of the final model relative to the recordings, if known
     """
-    undecided = {name for choice in advice.choices for name in choice.names}
     exact = search.hardly_errs and not search.fit.effects  # without a model, not beside one
     fit, last = search.fit if robot is None else robot.fit, comparison.evaluations[-1]
-    lines, negligible = _found_lines(search, fit, undecided)
+    lines, negligible = _found_lines(search, fit, {name for choice in advice.choices for name in choice.names})
     verdict, tone = _verdict(search, comparison, lines)
     bursts = any(noise.effect.name == "slip_burst" for noise in search.noise)
     # errors and warnings follow the effects and dependences with evidence, and precede noise and clocks
     at = max(next((i for i, line in enumerate(lines) if line.label), len(lines)), 1)
     mounted = _mounting_words(search, fit)
-    falls = agreement_of(comparison).verdict in ("better", "mixed")
-    unexplained = is_unexplained(search, last, falls=falls or len(comparison.evaluations) == 1)
+    changes = [one.change for one in agreement_of(comparison).measures]
+    falls = not comparison.evaluations[1:] or ("better" in changes and changes[0] != "worse")
+    unexplained = is_unexplained(search, last, falls=falls)
     named = verdict != "COMPLETE" and bool(lines) and not unexplained
     if named:
         first = ": ".join(filter(None, (lines[0].label.replace(_PERHAPS, ""), lines[0].text)))

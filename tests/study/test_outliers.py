@@ -152,8 +152,7 @@ def fitted(recording):
 
 @pytest.mark.parametrize("inverse_dof", [0.05, 0.2, 0.4])
 def test_a_single_draw_has_the_density_of_students_t(inverse_dof):
-    dof = 1.0 / inverse_dof
-    width = np.sqrt((dof - 2.0) / dof)
+    dof, width = 1.0 / inverse_dof, np.sqrt(1.0 - 2.0 * inverse_dof)
     places, density = log_density_of_sums(inverse_dof, 1)
     near = np.abs(places) < 10.0
     assert density[near] == pytest.approx(student.logpdf(places[near] / width, dof) - np.log(width), abs=2e-3)
@@ -206,10 +205,11 @@ def test_ticks_are_seen_whatever_tells_the_heading(yaw_from):
 
 @pytest.mark.parametrize("too_far", [False, True])
 def test_drifts_beyond_the_recordings_have_even_odds_at_most(too_far):
-    fitted = SimpleNamespace(problem=SimpleNamespace(recordings=(SimpleNamespace(yaw_dead_band_radps=0.0),)))
-    learned = SimpleNamespace(held_out={}, left_nats=0.0, steps=[], drifts_too_far=too_far, fit=fitted, misfit=1.0)
-    process = DetectedRandomEffect(effect_from_values("gyro_bias_walk", {"density": 1e-3}), 500.0)
-    assert (confidence(noise_support(process, learned)) > 0.5) != too_far
+    fit = SimpleNamespace(problem=SimpleNamespace(recordings=(SimpleNamespace(yaw_dead_band_radps=0.0),)))
+    learned = SimpleNamespace(held_out={}, left_nats=0.0, drifts_too_far=too_far, fit=fit, misfit=1.0)
+    sizes = {"gyro_bias_walk": {"density": 1e-3}, "slip_burst": {"rate": 0.1}}
+    for process in (DetectedRandomEffect(effect_from_values(name, own), 500.0) for name, own in sizes.items()):
+        assert (confidence(noise_support(process, learned)) > 0.5) != too_far
 
 
 CALM = Coefficients(0.006, 0.003, 0.004, 0.0)

@@ -82,9 +82,7 @@ def without_float_episodes(truth: Samples) -> Samples:
         return truth
     stamps_s = truth.t_s
     poor = _joined(stamps_s, _poor(np.full(len(truth), UNKNOWN, dtype=np.int8), truth.variance_m2))
-    if not poor.any() or np.mean(~poor) <= _MIN_GOOD:
-        return truth
-    return truth.only(~poor, *_episodes(stamps_s, poor))
+    return truth if not poor.any() or np.mean(~poor) <= _MIN_GOOD else truth.only(~poor, *_episodes(stamps_s, poor))
 
 
 def _poor(status: NDArray[np.int8], variance_m2: Array) -> NDArray[np.bool_]:

@@ -4,8 +4,7 @@ TUM: `stamp x y z qx qy qz qw` in seconds and metres, separated by white space; 
 CSV: a header names the columns, of which time, x and y are required and a heading (yaw, theta, or a quaternion) is
 optional. Names are split into words: `field.pose.pose.position.x`, `pos_x [m]`, `p_RS_R_x [m]` and `x` are all x.
 Units are read from the names (`yaw_deg`, `stamp [ns]`, `x_mm`); the defaults are metres and radians. Times without a
-unit are in s, ms, us or ns, whichever brings the steps between the first lines closest to 50 ms, a usual period, and
-the recording to 10 s or more.
+unit are in s, ms, us or ns, by which a recording of 10 s or more has steps nearest to 50 ms, a usual period.
 An export of OptiTrack Motive has a line each for the types, quantities and axes of its columns; Y is up, unless the
 height changes far more than the way across. Lines have a largest length, because the input is untrusted.
 """

@@ -134,8 +134,9 @@ def noise_support(one: DetectedRandomEffect, learned: Learned) -> Support:
     """
     left = 0.0 if one.effect.layer == "record" else learned.left_nats
     own = held_out_limit(part_name(one.effect), one.nats, learned)
-    slow_turns_lost = any(recording.yaw_dead_band_radps for recording in learned.fit.problem.recordings)
-    misfit = one.effect.name in CORRELATED_NOISE and (learned.drifts_too_far or slow_turns_lost)
+    misfit = learned.drifts_too_far and one.effect.layer != "record"
+    if one.effect.name in CORRELATED_NOISE:  # slow turns that were lost are such noise
+        misfit = misfit or any(recording.yaw_dead_band_radps for recording in learned.fit.problem.recordings)
     return Support(own, rivals=int(misfit), left=left, unpredicted=learned.misfit**2 - 1.0)
 
 

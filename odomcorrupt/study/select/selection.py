@@ -156,7 +156,8 @@ class _Selection:
         while self._include_process():
             self._select()
         self.noise, self.fit = eliminate_random(self.noise, self.fit, self.decisions)
-        tails = not (self.noise or any(isinstance(term, BasisTerm) for term in self.terms.values()))
+        others = [one.effect for one in self.noise if one.effect.name != "quantization"]  # ticks have no tails
+        tails = not (others or any(isinstance(term, BasisTerm) for term in self.terms.values()))
         outliers = outlier_effects(self.fit, self.decisions, tails=tails)
         self.noise += outliers
         if (far := self.clocks.base != 0.0).any():
