@@ -321,8 +321,8 @@ def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, sequen
 def test_a_rejected_model_with_negligible_laws_alone_is_not_complete(poor, sequence, monkeypatch):
     monkeypatch.setattr(Learned, "hardly_moves", lambda *_: True)
     small = replace(poor, unknown=UNKNOWNS[:1], laws=UNKNOWNS[:1])
-    first = replace(sequence, evaluations=sequence.evaluations[:1])
-    assert findings_brief(small, NONE, first).lines[0].label == "UNKNOWN"
+    brief = findings_brief(small, NONE, replace(sequence, evaluations=sequence.evaluations[:1]))
+    assert brief.lines[0].label == "UNKNOWN"
 
 
 def test_what_happened_at_once_is_no_effect_that_a_model_lacks(sequence):
@@ -636,8 +636,7 @@ def test_the_report_is_whole_small_and_says_what_is_missing(printed):
 
 @pytest.mark.slow
 def test_a_real_browser_shows_the_report(printed, tab, tmp_path):
-    page = tmp_path / "found.html"
-    page.write_bytes(printed[1]["report"].read_bytes())
+    (page := tmp_path / "found.html").write_bytes(printed[1]["report"].read_bytes())
     assert shown(tab, page) > 1500
 
 
