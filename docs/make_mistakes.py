@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from odomcorrupt.study.io.first_look import COURSES, PATTERNS
+from odomcorrupt.study.io.first_look import COMMANDS, COURSES, HALF_TURNS, OVERFLOWS, PATTERNS, SATURATES
 
 PAGE = Path(__file__).parent / "how-to" / "mistakes.md"
 HEAD = """# Plain mistakes
@@ -58,9 +58,10 @@ FIGURES = {
 """Example of each figure."""
 OWN = {
     "never turns": {"causes": "a steering angle or yaw rate that stays 0; one counter read for both wheels; encoders "
-                              "without direction"},
+                              "without direction; if it turns on the spot alone, as below"},
+    "turns on the spot": {"share": "59%"},
     "steps and headings": {
-        "times": "57.3 times as far as", "which": "headings turn",
+        "times": "57.3 times as far as", "which": ", and its headings turn as /truth",
         "causes": "x += v cos(yaw) dt with yaw in degrees; others below",
         "then": "its headings are multiplied, or its path is made again of its steps and headings",
     },
@@ -70,8 +71,10 @@ OWN = {
     "bursts": {"few": 18, "apart": 0.6}, "slow turns": {"rate": 26},
     "resets": {"where": "4.99 m at 77 s", "causes": "the node or the board was restarted; a counter was reset; counts "
                "or speeds are read as unsigned"},
-    "flips": {"how": "while its path goes on"},
-    "limit": {"does": "travels 0.45 m/s", "verb": "travels", "share": "76%", "far": 2},
+    "flips": {"how": "while its path goes on", "by": 180, "causes": f"{HALF_TURNS}; {OVERFLOWS}"},
+    "limit": {"one": "/odom", "beside": "the truth", "does": "travels 0.45 m/s", "verb": "travels", "share": "76%",
+              "far": 2} | {word: "; or, if the truth is at its limit: ".join(both) for word, both in
+                          zip(("cause", "change"), zip(SATURATES, COMMANDS, strict=True), strict=True)},
     "stale headings": {"every": 2.0}, "turns at rest": {"rate": 4.1}, "other way round": {"count": 2},
     "late turns": {"late": 1.5, "side": "later"}, "stretched": {"who": "/truth", "factor": 1.62, "along": 0},
     "publishers": {"share": "50%", "far": 1.4},

@@ -23,7 +23,6 @@ from odomcorrupt.study.io.jumps import reach_of, stretches
 from odomcorrupt.study.io.plausibility import check_pair, cross_correlation
 from odomcorrupt.study.io.raw_trajectory import CLOCK_S, FEWEST, NO_STAMPS, READ_AS, REPEATED, runs_of
 from odomcorrupt.study.io.recording import Mistake
-from odomcorrupt.study.io.yaw_dead_band import yaw_dead_band
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -591,11 +590,13 @@ def _factor_of_course(look: Look, i: int, beside: Array | float) -> float | None
 
     beside : directions of its steps from its heading, 0 if it drives ahead
     """
-    own, other, path, turn = look.own[i], look.own[1 - i], look.paths[i], look.scales[1]
+    own, other, path, (travel, turn) = look.own[i], look.own[1 - i], look.paths[i], look.scales
     sideways, line = isinstance(beside, np.ndarray), min(own.line, other.line) > _FOLLOWS
     fits = tuple(_courses(path, k, beside)[1] for k in COURSES) if sideways else own.agreement
     # between messages an angle in degrees turns as 57.3 times the other one does, also if it has no way along the path
+    # unless travel is as many times as far: a radius
     unit = not turn.sure or abs(np.log(turn.value ** (2 * i - 1) / _DEGREE)) < _CLOSE
+    unit = unit and not (travel.sure and turn.sure and abs(np.log(travel.value / turn.value)) < _ALIKE)
     off = [1.0 - look.turns_by(i, k) if look.headed and unit and fits[0] < _FOLLOWS else 1.0 for k in (_DEGREE, 1.0)]
     if off[0] < min(1.0 - _FOLLOWS, off[1] / 3.0):
         return 1.0 / _DEGREE
@@ -641,17 +642,28 @@ def _steps_and_headings(look: Look, i: int) -> Figures | None:
     if k == 1.0 / _DEGREE and not right and np.exp(far[0]) > _WRONG:  # several turns between messages
         mended[0], then = path.without_headings(), "its positions alone are used"
     said = "; ".join(filter(None, causes)) if path is look.paths[1 - i] else causes[right]
-    which = "headings turn" if right else "path turns"
+    which = f", and its {('path turns', 'headings turn')[right]} as {look.paths[1 - i].name}"
+    which *= path is not look.paths[1 - i]
     return {"i": i, "times": times, "which": which, "causes": said, "then": then, "undo": lambda _: mended[right]}
 
 
 def _flips(look: Look, i: int) -> Figures | None:
     """Find headings that jump by half a turn, alone or with their path, while the other trajectory goes on."""
-    path, steady = look.paths[i], replace(look.paths[i], yaw_rad=np.unwrap(look.paths[i].yaw_rad, period=np.pi))
-    turn, step = np.abs(wrap(np.diff(path.yaw_rad))), np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
-    around = np.maximum(np.append(turn[1:], 0.0), np.append(0.0, turn[:-1]))
-    jumps = np.flatnonzero((turn > np.pi - 0.35) & (around < 0.35) & (step < 3.0 * np.percentile(step, 95.0)))
-    if not path.headed or look.own[i].fixed > _FOLLOWS or not len(jumps):
+    path = look.paths[i]
+    turn, step = wrap(np.diff(path.yaw_rad)), np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
+    sides = np.array((np.append(turn[1:], 0.0), np.append(0.0, turn[:-1])))
+    sudden = (np.abs(turn) > _ASKEW) & (np.abs(sides).max(axis=0) < 0.35)
+    turn -= sudden * sides.mean(axis=0)  # the robot turns meanwhile
+    size = float(np.median(np.abs(turn[sudden]))) if sudden.any() else 0.0
+    # by half a turn, or several times by one other angle
+    size, few = (np.pi, 1) if size > np.pi - 0.35 else (size, 3)
+    alike = sudden & (np.abs(np.abs(turn) - size) < 0.35) & (step < 3.0 * np.percentile(step, 95.0))
+    jumps = np.flatnonzero(alike)
+    steady = replace(path, yaw_rad=np.unwrap(path.yaw_rad))
+    steady.yaw_rad[1:] -= np.cumsum(alike * np.sign(turn) * size)
+    # what overflows does so at one value
+    at_one = _concentration(path.yaw_rad[jumps + (turn[jumps] < 0.0)]) > _FOLLOWS and len(jumps) > 0.8 * sudden.sum()
+    if not path.headed or look.own[i].fixed > _FOLLOWS or len(jumps) < few or not (few == 1 or at_one):
         return None
     if look.headed and abs(look.having(i, steady).correlations[2, 2]) < _UNCLEAR:
         return None
@@ -659,8 +671,14 @@ def _flips(look: Look, i: int) -> Figures | None:
     ends = np.clip(jumps + np.array(((-_FEWEST,), (0,), (1,), (1 + _FEWEST,))), 0, len(step))
     before, _, after = np.diff(path.xyz[ends, :2], axis=0)
     on = np.sum(before * after, axis=1) > -0.5 * np.prod(np.linalg.norm((before, after), axis=2), axis=0)
-    if on.mean() >= 0.5:
-        return {"i": i, "count": len(jumps), "how": "while its path goes on", "undo": lambda _: _ahead(look, i, steady)}
+    words = {
+        "i": i,
+        "count": len(jumps),
+        "by": f"{np.degrees(size):.0f}",
+        "causes": HALF_TURNS if few == 1 else OVERFLOWS,
+    }
+    if on.mean() >= 0.5 and (few == 1 or own_of(steady).agreement[0] > _FOLLOWS):
+        return words | {"how": "while its path goes on", "undo": lambda _: _ahead(look, i, steady)}
     rows = increments(path.trajectory().xyt).rows
     rows[:, 2] = np.diff(steady.yaw_rad)
     mended = _moved_by(path, rows)
@@ -670,7 +688,7 @@ def _flips(look: Look, i: int) -> Figures | None:
         return None
     if 1.0 - other.turns_by(i, 1.0) > (1.0 - look.turns_by(i, 1.0)) / 2.0:
         return None
-    return {"i": i, "count": len(jumps), "how": "and so does its path, unlike the other's", "undo": lambda _: mended}
+    return words | {"how": "and so does its path, unlike the other's", "undo": lambda _: mended}
 
 
 def _folded(look: Look, i: int) -> Figures | None:
@@ -727,7 +745,7 @@ def _euler(look: Look, i: int) -> Figures | None:
     travel = np.hypot(step[:, 0], step[:, 1])  # by which directions count, as turns on the spot have hardly any
     if i or bends.sum() < 3 * _FEWEST or not travel[bends].any():
         return None
-    if np.average(np.abs(part - (k := round(float(np.median(part))))), weights=travel[bends]) > 0.02:
+    if np.average(np.abs(part - (k := round(float(np.median(part))))), weights=travel[bends]) > 0.02 or k not in (0, 1):
         return None
     rows = np.column_stack((ahead * travel, 0.0 * turn, turn))
     most = float(np.degrees(np.percentile(np.abs(turn[bends]), 95.0)))
@@ -755,7 +773,7 @@ def _never_turns(look: Look) -> Figures | None:
     """Find odometry that does not turn; what it does where the truth turns on the spot shows why."""
     own, real, _ = look.sizes[1]
     corr, drives = look.correlations[2, 2], look.own[0].turned < 1.0 and look.scales[0].sure
-    still = own < 0.1 * real and corr < _UNCLEAR and (drives or corr > -_UNCLEAR)
+    still = own < 0.1 * real and not look.scales[1].sure and (drives or corr > -_UNCLEAR)
     if real <= _FEW_TURNS or not (look.own[0].straight or still):
         return None
     here, there = look.windows[0][:, 0], np.abs(look.windows[1])
@@ -764,7 +782,8 @@ def _never_turns(look: Look) -> Figures | None:
     ahead = [np.mean(here[side] > 0.01 * look.window_s) > 0.8 for side in sides if side.sum() >= _FEWEST / 2.0]
     # turns on the spot to one side alone are driven ahead by one wheel, too
     unsigned = [_NO_DIRECTION] * (all(ahead) and len(ahead) > 0)
-    return {"causes": "; ".join([_NO_TURNS] * (len(ahead) == 1 or not unsigned) + unsigned)}
+    on_spot = [_NO_SPOT] * int(spot.sum() > 0.8 * moving(there[:, 2]).sum() and not unsigned)
+    return {"causes": "; ".join(on_spot + [_NO_TURNS] * (len(ahead) == 1 or not unsigned) + unsigned)}
 
 
 def _upright(look: Look) -> Figures | None:
@@ -792,7 +811,8 @@ def _stretched(look: Look) -> Figures | None:
     mean, *waves = _linear(design, ratio[:, None])[0][0]
     wave, along = float(np.hypot(*waves)), float(np.arctan2(-waves[1], -waves[0])) / 2.0
     left, varies = (np.median(np.abs(ratio - x)) for x in (design @ [mean, *waves], np.median(ratio)))
-    if not _CLOSE * mean < wave < 0.99 * mean or left > _CLEAR * varies:
+    # what depends on the speed, too, is no factor
+    if not _CLOSE * mean < wave < 0.99 * mean or left > min(_CLEAR * varies, 0.1 * mean):
         return None
     factor = float(np.sqrt((mean + wave) / (mean - wave)))
     # the axis along which lengths agree is right
@@ -1138,7 +1158,11 @@ def _counter(count: int, wheel_m: float, turn: float, increments_m: Array, rows:
     cause = "a counter overflows (often of 8 or 16 bits), or is reset at stops"
     if known:
         cause = f"a counter overflows: 2^{bits} ticks of {tick * 1e3:.3g} mm: a counter of {bits} bits"
-    if (every_s := np.diff(at_s)).min() > 0.5 and np.mean(np.abs(every_s - np.rint(every_s)) < 0.1) > 0.9:
+    if (
+        len(every_s := np.diff(at_s)) > 3
+        and every_s.min() > 0.5
+        and np.mean(np.abs(every_s - np.rint(every_s)) < 0.1) > 0.9
+    ):
         cause = "once a second: a time step is taken from the nanoseconds alone"
     return {"count": count, "size": size, "cause": cause, "undo": lambda path: _moved_by(path, rows)}
 
@@ -1173,6 +1197,17 @@ def _one_way(look: Look, axis: int) -> Figures | None:
     return None
 
 
+def _spot_turns(look: Look) -> Figures | None:
+    """Find odometry that turns as the truth does while it travels, and not at all on the spot."""
+    here, there, _ = look.windows
+    turns, travels = moving(there[:, 2]), np.abs(there[:, 0])
+    usual = np.percentile(travels, 80.0)
+    spot = turns & (travels < _MOVING / 2.0 * usual) & (np.abs(here[:, 0]) < _MOVING / 2.0 * usual)
+    parts = [np.median(here[x, 2] / there[x, 2]) if x.sum() >= _FEWEST else np.nan for x in (spot, turns & ~spot)]
+    lost = look.headed and abs(parts[0]) < _MOVING / 2.0 and abs(parts[1] - 1.0) < 2.0 * _CLOSE
+    return {"share": f"{spot.sum() / max(turns.sum(), 1):.0%}"} if lost else None
+
+
 def _one_encoder(look: Look) -> Figures | None:
     """Find odometry that differs from the truth by one wheel, whose way back counts as forwards or not at all."""
     origin, at_s = int(look.paths[0].stamps_ns[0]), look.motions[2]
@@ -1203,26 +1238,36 @@ def _in_reverse(look: Look) -> Figures | None:
 
 
 def _limit(look: Look) -> Figures | None:
-    """Find odometry that keeps its largest speed, yaw rate or curvature where the truth has a larger one."""
-    used = moving(look.windows[0][:, 0])
-    own, real = (np.abs(x[used]) + 1e-9 for x in look.windows[:2])
-    for does, here, there in (
-        ("travels {:.3g} m/s", own[:, 0] / look.window_s, real[:, 0] / look.window_s),
-        ("turns {:.3g} rad/s", own[:, 2] / look.window_s, real[:, 2] / look.window_s),
-        ("turns {:.3g} rad per m", own[:, 2] / own[:, 0], real[:, 2] / real[:, 0]),
-    ):
-        top = float(np.percentile(here, 98.0)) if len(here) else 0.0
-        at, below = here > 0.97 * top, (here > _MOVING * top) & (here < 0.97 * top)
-        if below.sum() < _FEWEST or at.mean() < _MOVING / 2.0 or own[:, 0].sum() < _FEWEST * _ARM_M:
+    """Find odometry that keeps its largest speed, yaw rate or curvature where the truth has a larger one.
+
+    Or the reverse, for speeds: of commands that the robot did not follow.
+    """
+    pair = [np.abs(x) + 1e-9 for x in look.windows[:2]]
+    own, real = (x[moving(look.windows[0][:, 0])] for x in pair)
+    speeds = [x[:, 0] / look.window_s for x in (own, real)]
+    rates = [x[moving(look.windows[0][:, 2]), 2] / look.window_s for x in pair]
+    bends = [x[:, 2] / x[:, 0] for x in (own, real)]
+    does_at_most = ("travels {:.3g} m/s", "travels {:.3g} m/s", "turns {:.3g} rad/s", "turns {:.3g} rad per m")
+    for does, (here, there) in zip(does_at_most, (speeds, speeds[::-1], rates, bends), strict=True):
+        noise = 0.1 if here is speeds[1] else 0.03  # of the truth
+        top = float(np.percentile(here, 100.0 - 70.0 * noise)) if len(here) else 0.0
+        at = here > (1.0 - noise) * top
+        below = ~at & (here > _MOVING * top)
+        if below.sum() < _FEWEST or at.mean() < _MOVING / 2.0 or sum(own[:, 0]) < _FEWEST * _ARM_M:
             continue
         # in bends the outer wheel may be at its limit
         far, usual = np.percentile((there / here)[at], (10, 50, 90)), float(np.percentile((there / here)[below], 25.0))
         agrees = abs(usual - 1.0) < _CLOSE
-        if does.startswith("turns"):  # windows with fewer turns have parts at the limit
+        if here is bends[0] or (here is rates[0] and not agrees):  # windows with fewer turns have parts at the limit
             agrees, usual = bool(1.5 * far[0] < far[2] < 10.0), 1.0
-        if agrees and far[0] > usual + 0.05 and far[1] > max(usual, 1.0) + _CLOSE:
-            words = {"does": does.format(top), "verb": does.split()[0], "far": float(far[1])}
-            return words | {"share": f"{at.mean():.0%}"}
+        beyond = far[0] > usual + 0.05 or ("travels" in does and far[2] > 1.5 * usual * far[0])
+        if agrees and beyond and far[1] > max(usual, 1.0) + _CLOSE:
+            names = [look.paths[0].place, "the truth", *SATURATES]
+            one, beside, cause, change = names if here is not speeds[1] else [*names[1::-1], *COMMANDS]
+            return {
+                "one": one, "beside": beside, "does": does.format(top), "verb": does.split()[0], "far": float(far[1]),
+                "share": f"{at.mean():.0%}", "cause": cause, "change": change,
+            }  # fmt: skip
     return None
 
 
@@ -1265,6 +1310,36 @@ def _whole_steps(look: Look) -> Figures | None:
     mended = rows + lost * per[:, None] * halves
     said = f"{'speeds' if speeds else 'increments'} are whole steps of {1e3 * wheels * step:.3g} mm{'/s' * speeds}"
     return {"steps": said, "lost": f"{lost:.2f} +- {error:.2f}", "undo": lambda path: _moved_by(path, mended)}
+
+
+def _slow_turns(look: Look) -> Figures | None:
+    """Find odometry that reports no turns below a rate, though the truth turns: a dead band.
+
+    The smallest turns are far from zero and no multiples of a step. In motion many are zero, where the truth turns
+    otherwise than in proportion to travel or time: unequal wheels and a bias turn a robot whose command is straight.
+    """
+    path, (here, there, (starts, _)), window_s = look.paths[0], look.motions, look.window_s
+    rows, dt_s = increments(path.trajectory().xyt).rows, np.diff(path.t_s)
+    turn = np.abs(rows[:, 2])
+    zero, least = turn <= 1e-9, float(turn[turn > 1e-9].min(initial=np.inf))
+    # of a smooth density, as many turns would lie below the least one as up to its double
+    above = turn[~zero & (turn < 2.0 * least)] / least - 1.0
+    if not look.headed or least < 1e-6 or len(above) < 30 or np.mean((above > 0.05) & (above < 0.95)) < 0.5:
+        return None
+    rate = least / float(np.median(dt_s))
+    zeros_s = np.concatenate(([0.0], np.cumsum(zero * (np.abs(rows[:, 0]) > 1e-6) * dt_s)))
+    straight_s = np.interp(starts + window_s, path.t_s, zeros_s) - np.interp(starts, path.t_s, zeros_s)
+    slow = (np.abs(here[:, 2]) < rate * window_s) & (straight_s > 0.3 * window_s)
+    if slow.sum() < 5 * _FEWEST:
+        return None
+    steady, missed = np.column_stack((here[slow, 0], np.ones(slow.sum()))), (there - here)[slow, 2]
+    missed = missed - steady @ np.linalg.lstsq(steady, missed, rcond=None)[0]
+    # 0.4549 is the median of chi-square with 1 degree of freedom; second differences have 6 variances, turns 2
+    noise = 2.0 * float(np.median(np.diff(np.unwrap(look.paths[1].yaw_rad), n=2) ** 2)) / 0.4549 / 6.0
+    seen = float(np.mean(missed**2)) - noise
+    if seen < max(2.0 * noise, (0.1 * rate * window_s) ** 2):
+        return None
+    return {"rate": float(np.degrees(rate)), "dead_band_radps": rate, "undo": lambda path: path}
 
 
 def _whole_positions(look: Look, i: int) -> Figures | None:
@@ -1329,7 +1404,7 @@ def _stands(look: Look, i: int) -> Figures | None:
     still = (size <= (1e-3, 0.04)[i] * np.percentile(size, 95.0, axis=0)).all(axis=1)
     lost, runs = moves & still, runs_of(np.asarray(still))
     lost_s, share = float(lost.sum()) * look.window_s / 4.0, float(lost.sum()) / max(moves.sum(), 1)
-    if lost_s < 10.0 or (share < 0.2 and all(moves[a:b].sum() * look.window_s <= 20.0 for a, b in runs)):
+    if lost_s < 8.0 or (share < _CLOSE and all(moves[a:b].sum() * look.window_s <= 20.0 for a, b in runs)):
         return None
     for a, b in runs:  # a pose that stays is wrong also while the other one rests
         lost[a:b] |= lost[a:b].any()
@@ -1348,7 +1423,7 @@ def _other_way_round(look: Look) -> Figures | None:
     off = (here - there)[:, 2] * look.seen
     whole, lost = np.cumsum(off[::4]), np.abs(off) > 3.0 * _BENT_RAD  # windows overlap four times
     count = round(float(np.ptp(whole)) / (2.0 * np.pi)) if len(whole) else 0
-    opposite = np.sum((here * there)[lost, 2]) < 0.0 and np.median(np.abs(off)) < _BENT_RAD
+    opposite = np.sum((here * there)[lost, 2]) < 0.0 and np.median(np.abs(off)) < min(count, 2) * _BENT_RAD
     if not look.headed or not count or _concentration(whole) < 0.8 or not opposite:
         return None
     return {"count": count, "undo": _without(look, 0, lost)}
@@ -1521,6 +1596,20 @@ def _hint(factor: float, causes: dict[float, str]) -> str:
 _RECORD = "mend it and record again"
 _UNDONE = "this is undone in the odometry, and not in the model"
 _NO_DIRECTION = "encoders without direction (one channel, or a counter that cannot count down); unsigned speeds"
+SATURATES = (
+    "ticks lost above a speed; a counter, a message or a steering angle's sensor that saturates",
+    "count by hardware, or with fewer ticks; a wider type or range",
+)
+COMMANDS = (
+    "odometry of commands, which the robot does not follow beyond this speed; wheels that spin",
+    "count the wheels",
+)
+HALF_TURNS = (
+    "an arc cosine or tangent of one argument; an angle modulo 180 deg, or 180 for 360 at its wrap; markers that a "
+    "tracker confuses; the frame of a wheel, which rolls"
+)
+OVERFLOWS = "a heading of several turns that overflows, as 1/100 deg in 16 bits; a wrap at another angle than 360 deg"
+_NO_SPOT = "a yaw rate by curvature times speed, or headings that are integrated above a speed alone"
 _NO_TURNS = "a steering angle or yaw rate that stays 0 or is of another axis; one counter read for both wheels"
 _SIGNED = "count both channels, or give speeds the sign of the command; " + _RECORD
 _KEPT = "the model has the factor, and is of this odometry as it is"
@@ -1568,7 +1657,7 @@ PATTERNS = (
             "w was never set beside z = sin(yaw / 2)",
             "set w = cos(yaw / 2), or make poses of its twists with `odomcorrupt integrate`", "",
             lambda look, i: {"i": i} if look.paths[i].no_w else None, alone=True),
-    Pattern("steps and headings", "{who}: its path turns {times} its headings, and its {which} as {other}",
+    Pattern("steps and headings", "{who}: its path turns {times} its headings{which}",
             "{causes}", "convert angles once, before quaternions, sines and cosines; turn a compass by 90 deg - yaw; a "
             "column's name says its unit (yaw_deg, yaw_rad)", "{then}", _steps_and_headings, alone=True),
     Pattern("folded headings", "{who}: its headings stay within half a turn, its path goes to both sides of it",
@@ -1577,10 +1666,9 @@ PATTERNS = (
     Pattern("stale headings", "{who}: its headings change every {every} s, and stay between messages meanwhile",
             "a compass, or another source of headings, that is slower than the odometry, and late",
             "turn by wheels or a gyro meanwhile", "headings are interpolated", _stale_headings, alone=True),
-    Pattern("flips", "{who}: its headings jump by 180 deg {how} ({count} times)",
-            "an arc cosine or tangent of one argument; an angle modulo 180 deg, or 180 for 360 at its wrap; markers "
-            "that a tracker confuses; the frame of a wheel, which rolls",
-            "take atan2 of both components; make markers asymmetric", "the jumps are undone", _flips, alone=True),
+    Pattern("flips", "{who}: its headings jump by {by} deg {how} ({count} times)", "{causes}",
+            "take atan2 of both components, and a wider type; make markers asymmetric", "the jumps are undone", _flips,
+            alone=True),
     Pattern("Euler steps", "{who}: each step goes along its heading at the step's {at}, and turns by up to {most} deg",
             "x += v cos(yaw) dt at a low rate", "use yaw halfway, or integrate at the rate of the wheels",
             "steps are taken as arcs, and not in the model", _euler, alone=True),
@@ -1629,11 +1717,9 @@ PATTERNS = (
     Pattern("slow turns", "{who} reports no turns slower than {rate} deg/s, {other} turns then, too",
             "a dead band against the noise of a gyro or of increments; speeds cut to whole steps",
             "leave it out, or apply it at rest alone", "it is part of the model",
-            lambda look: {"rate": float(np.degrees(band)), "dead_band_radps": band, "undo": lambda path: path}
-            if (band := yaw_dead_band(*look.paths)) else None),
-    Pattern("limit", "{who} {does} at most, in {share} of its motion; the truth {verb} {far} times as far then",
-            "ticks lost above a speed; a counter, a message or a steering angle's sensor that saturates",
-            "count by hardware, or with fewer ticks; a wider type or range; " + _RECORD, "", _limit),
+            _slow_turns),
+    Pattern("limit", "{one} {does} at most, in {share} of its motion; {beside} {verb} {far} times as far then",
+            "{cause}", "{change}; " + _RECORD, "", _limit),
     Pattern("wheel gains", "{who} moves as with wheels {each} (this explains {explained})",
             "{cause}", "{change}", "{then}", _wheel_gains),
     Pattern("in reverse", "{who}: in reverse {other} travels {v} and turns {w} times as far as it, relative to ahead",
@@ -1656,6 +1742,9 @@ PATTERNS = (
     Pattern("never turns one way", "{who} never turns {side}, the truth does in {share} of its time",
             "an unsigned yaw rate, or an angle from an arc cosine", "keep the sign; " + _RECORD, "",
             lambda look: _one_way(look, 2)),
+    Pattern("turns on the spot",
+            "{who} does not turn where {other} turns on the spot ({share} of the turns); in bends they agree", _NO_SPOT,
+            "integrate the yaw rate at any speed; " + _RECORD, "", _spot_turns),
     Pattern("turns otherwise",
             "{who} travels as the truth does, but its turns do not follow the truth's (correlation {corr})",
             "degrees given to a tangent or sine; a compass beside iron; a dead zone of slow wheels or turns; the angle "

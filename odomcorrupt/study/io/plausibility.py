@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.signal import correlate
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.motion import slopes
@@ -119,13 +120,11 @@ def _signals(t_s: Array, xyt: Array, grid: Array, smoothing_s: float, *, by_cour
 
 def _correlation(a: Array, b: Array, count: int) -> Array:
     """Return the correlations (2 count + 1,) of a at i + lag with b at i, over samples where both are finite."""
-    size = 1 << int(np.ceil(np.log2(2 * len(a))))
     there_a, there_b = np.isfinite(a).astype(np.float64), np.isfinite(b).astype(np.float64)
     a, b = np.where(there_a > 0, a, 0.0), np.where(there_b > 0, b, 0.0)
 
     def shifted(x: Array, y: Array) -> Array:
-        whole = np.fft.irfft(np.fft.rfft(x, size) * np.conj(np.fft.rfft(y, size)), size)
-        return np.concatenate((whole[-count:] if count else whole[:0], whole[: count + 1]))
+        return correlate(x, y, method="fft")[len(x) - 1 - count : len(x) + count]
 
     n = np.maximum(shifted(there_a, there_b), 1.0)
     mean_a, mean_b = shifted(a, there_b) / n, shifted(there_a, b) / n
@@ -193,15 +192,12 @@ def _check_motion(here: Samples, there: Samples) -> None:
     if extents[0] < _STILL_M and turns[0] < _STILL_RAD:
         if extents[1] > _MOVES_M and extents[0] * _FACTOR > extents[1]:
             return
+        said = f"no motion: {extents[0] * 1000:.0f} mm and {np.degrees(turns[0]):.1f} deg in {here.span_s:.0f} s; "
+        said += "record a drive with turns both ways"
         if extents[1] > _MOVES_M:
-            raise RecordingError(
-                f"{here.place}: stands still while the truth moves over {extents[1]:.1f} m; name the odometry of this "
-                "robot; `odomcorrupt integrate` makes poses of twists"
-            )
-        raise RecordingError(
-            f"{here.place}: no motion: {extents[0] * 1000:.0f} mm and {np.degrees(turns[0]):.1f} deg in "
-            f"{here.span_s:.0f} s; record a drive with turns both ways"
-        )
+            said = f"stands still while the truth moves over {extents[1]:.1f} m; name the odometry of this robot; "
+            said += "`odomcorrupt integrate` makes poses of twists"
+        raise RecordingError(f"{here.place}: {said}")
     if extents[0] > _MOVES_M and extents[1] < _STILL_M and extents[1] * _FACTOR < extents[0]:
         degrees = 0.3 < extents[1] * 111e3 / extents[0] < 3.0  # metres of a degree of latitude
         way_out = "give metres, not degrees of latitude and longitude" if degrees else "name the truth of this robot"

@@ -13,7 +13,6 @@ from odomcorrupt.geometry.se2 import between, wrap
 from odomcorrupt.study.io.first_look import Look, moving, travel_of
 
 if TYPE_CHECKING:
-    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.feedback import Feedback
     from odomcorrupt.study.io.raw_trajectory import Samples
 
@@ -71,7 +70,13 @@ def check_identity(odometry: Samples, truth: Samples) -> list[str]:
     if _FUSED.search(truth.name.lower()):
         what = "it is a localisation by its name, which may have used this odometry and repeat its errors"
         return [f"{truth.name}: {what}"]
-    return _repeated_turns(truth, step, own) if truth.headed else []
+    turning = np.abs(own[:, -1]) > _MOVES
+    apart = np.abs(step - own)[turning]
+    same = apart[:, -1] < _SAME
+    if not truth.headed or len(same) < _MIN_STEPS or same.mean() <= 0.5 or apart[:, :2].max(axis=1).mean() <= _SAME:
+        return []
+    what = "they were made from it, so that errors of heading cannot be seen"
+    return [f"{truth.name}: {same.mean():.0%} of its headings turn exactly as the odometry does: {what}"]
 
 
 _WINDOW_S = 0.5
@@ -117,17 +122,6 @@ def _check_travel(odometry: Samples, truth: Samples) -> None:
             f"{found_m * 1e3:.2g} mm in {gone_m * 1e3:.0f}): a filter that takes its speed from these wheels, so that "
             "errors of travel cannot be seen; name a truth that does not come from them"
         )
-
-
-def _repeated_turns(truth: Samples, step: Array, own: Array) -> list[str]:
-    """Return a warning if the steps (k, 3) of the truth turn as the odometry's do while their positions differ."""
-    turning = np.abs(own[:, 2]) > _MOVES
-    apart = np.abs(step - own)[turning]
-    same = apart[:, 2] < _SAME
-    if turning.sum() < _MIN_STEPS or same.mean() <= 0.5 or apart[:, :2].max(axis=1).mean() <= _SAME:
-        return []
-    what = "they were made from it, so that errors of heading cannot be seen"
-    return [f"{truth.name}: {same.mean():.0%} of its headings turn exactly as the odometry does: {what}"]
 
 
 def without_course(odometry: Samples, truth: Samples) -> Samples:

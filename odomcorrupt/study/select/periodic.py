@@ -10,6 +10,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import find_peaks
 
 from odomcorrupt.effects.gears import FlatSpot
 from odomcorrupt.effects.wheels import TRACKS_M
@@ -85,16 +87,7 @@ def _likeliest(fit: Fit, score: Array, distance: Callable[[Motion], Array]) -> l
     per_m = np.fft.rfftfreq(size, _GRID_M)
     inside = np.flatnonzero((per_m >= 1.0 / LONGEST_M) & (per_m <= 1.0 / SHORTEST_M))
     # longer waves turn the robot further and have larger scores: divide by the smoothed spectrum
-    count = len(inside)
-    width = min(max(count // 20, 1), (count - 1) // 2)  # of a short drive, the spectrum has few bins
-    total = np.concatenate(([0.0], np.cumsum(strength[inside])))
-    low, high = (np.clip(np.arange(count) + k, 0, count) for k in (-width, width + 1))
-    level = np.maximum((total[high] - total[low]) / (high - low), 1e-300)
-    ranked = inside[np.argsort(-strength[inside] / level)]
-    chosen: list[float] = []
-    for i in ranked[: 40 * _TRIED]:
-        if all(abs(per_m[i] - f) > 8.0 / (size * _GRID_M) for f in chosen):
-            chosen.append(float(per_m[i]))
-        if len(chosen) == _TRIED:
-            break
-    return [1.0 / f for f in chosen]
+    level = uniform_filter1d(strength[inside], len(inside) // 10 + 1, mode="nearest")
+    ratio = np.pad(strength[inside] / np.maximum(level, 1e-300), 1)
+    peaks = find_peaks(ratio, distance=9)[0]
+    return (1.0 / per_m[inside[peaks[np.argsort(-ratio[peaks])[:_TRIED]] - 1]]).tolist()

@@ -23,7 +23,7 @@ from odomcorrupt.effects.effect import amplitudes, choices, shapes
 from odomcorrupt.effects.expression import UserEffect, user_effect
 from odomcorrupt.effects.wheels import brings_track
 from odomcorrupt.rng import stream
-from odomcorrupt.study.estimate.drive_type import GAINS_OF_TURNS, MOUNTING, drive_type_of, mountings
+from odomcorrupt.study.estimate.drive_type import GAINS_OF_TURNS, drive_type_of, mountings
 from odomcorrupt.study.estimate.regressors import drives_sideways
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.terms.basis import COEFFICIENTS, VALUES, BasisFunction
@@ -283,8 +283,9 @@ def library_families(
         wanted = wanted and alone and drive.admits(kind)
         possible = (sideways or not kind.needs_sideways) and (track or not kind.needs_track or brings_track(kind))
         possible = possible and (placed or not kind.reads_places)
-        if name in MOUNTING and name not in mountings(recordings):
-            continue
+        # beside a truth of the base itself, a lever arm is that of the odometry: a centre of turning, or of one wheel
+        # of a truth of the base itself, a lever arm is that of the odometry: a centre of turning, or of one wheel
+        possible = possible and (name != "mount_yaw" or name in mountings(recordings))
         if wanted and possible:
             family = LibraryTerm.family(kind, motions)
             if source := drive.heading_source:
