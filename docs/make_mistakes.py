@@ -59,7 +59,9 @@ FIGURES = {
 OWN = {
     "never turns": {"causes": "a steering angle or yaw rate that stays 0; one counter read for both wheels; encoders "
                               "without direction; if it turns on the spot alone, as below"},
-    "turns on the spot": {"share": "59%"},
+    "turns on the spot": {"how": "does not turn", "share": "59%", "causes": "a yaw rate by curvature times speed, or "
+                          "headings that are integrated above a speed alone; if it drives ahead there, encoders "
+                          "without direction"},
     "steps and headings": {
         "times": "57.3 times as far as", "which": ", and its headings turn as /truth",
         "causes": "x += v cos(yaw) dt with yaw in degrees; others below",
@@ -81,7 +83,7 @@ OWN = {
     "plane": {"who": "/truth"}, "headings of the truth": {"who": "/truth", "what": "are 0 or 180 deg alone"},
     "repeated poses": {"longest": 25.0, "count": 1},
     "clock rate": {"factor": 2.0}, "stands still": {"share": "50%"},
-    "whole steps": {"steps": "increments are whole steps of 1 mm", "lost": "0.9 +- 0.1"},
+    "whole steps": {"steps": "increments are whole steps of 1 mm of a wheel", "lost": "travels 0.9 +- 0.1"},
     "whole positions": {"step": "10 mm", "far": 22, "few": 5},
     "stamps": {"note": "/odom: 4341 of its poses have the stamp of the one before, while it moves, or stamps read as "
                "milliseconds beside seconds"},

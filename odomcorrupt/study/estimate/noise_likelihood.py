@@ -394,8 +394,8 @@ def fit_noise(
     """Return maximum-likelihood coefficients and truth noise; columns (K, 3, q) are free linear terms throughout.
 
     Intervals with innovations too large for chance get a larger covariance, which never shrinks again, and the fit is
-    repeated: slips and gross errors of the truth are then not fitted as noise. If clearly more than a few per cent are
-    outliers they are signal, and the fit without weights is returned.
+    repeated: slips and gross errors of the truth are then not fitted as noise. If more than a few per cent of the
+    intervals are outliers they are signal, and the fit without weights is returned.
 
     headings : whether the truth has headings; if not, its heading noise is held at a large constant
     start : (m,) noise of an earlier fit, see `NoiseFit.free`; default: an initial guess
@@ -425,5 +425,4 @@ def fit_noise(
             break
         likelihood = weighted(np.where(worse, done.weights * square / 3.0, done.weights))
         done = likelihood.maximise(likelihood.revived(done.free))
-    most = _SIGNAL * len(intervals)  # one more or less of a few is chance
-    return plain if np.sum(done.weights > 1.0) > most + np.sqrt(most) and not bursts else done
+    return plain if np.mean(done.weights > 1.0) > _SIGNAL and not bursts else done

@@ -171,6 +171,7 @@ class Own(NamedTuple):
     fixed : 1 if its headings are constant or opposite
     turned : extent of its headings, rad
     askew : angle of its path to its headings, but for half a turn, rad, 0 if it does not follow them
+    step : usual largest turn from one message to the next, rad
     """
 
     agreement: tuple[float, ...] = (0.0,) * len(COURSES)
@@ -179,6 +180,7 @@ class Own(NamedTuple):
     fixed: float = 0.0
     turned: float = 0.0
     askew: float = 0.0
+    step: float = 0.0
 
     @property
     def straight(self) -> bool:
@@ -207,7 +209,8 @@ def own_of(path: Samples) -> Own:
     fixed = _concentration(2.0 * path.yaw_rad)
     askew = float(np.angle(np.mean(np.exp(2j * (course - path.yaw_rad[middle]))))) / 2.0 if len(course) else 0.0
     askew *= agreement[0] > _FOLLOWS
-    return Own(tuple(agreement), len(course), line, fixed, float(np.ptp(np.unwrap(path.yaw_rad))), askew)
+    turned, step = float(np.ptp(np.unwrap(path.yaw_rad))), np.percentile(np.abs(wrap(np.diff(path.yaw_rad))), 95.0)
+    return Own(tuple(agreement), len(course), line, fixed, turned, askew, float(step))
 
 
 def _courses(path: Samples, factor: float, beside: Array | float = 0.0) -> tuple[Array, float]:
@@ -422,6 +425,13 @@ class Look:
         """Whether the odometry drives sideways, too."""
         return bool(np.std(self.motions[0][:, 1]) > 0.1 * np.std(self.motions[0][:, 0]))
 
+    @cached_property
+    def strafes(self) -> bool:
+        """Whether the truth drives sideways, beyond what a point off the centre does in turns."""
+        there = self.motions[1]
+        aside = there[:, 1:2] - there[:, ::2] @ _linear(there[:, ::2], there[:, 1:2])[0].T
+        return bool(aside.std() > 0.1 * there[:, 0].std())
+
     def at_fault(self) -> tuple[int | None, str]:
         """Return which one turns the wrong way according to a third source, if any does, and that source."""
         here, there, (starts, _) = self.windows
@@ -610,7 +620,7 @@ def _factor_of_course(look: Look, i: int, beside: Array | float) -> float | None
     doubts = [(1.0 - one.agreement[0]) / (1.001 - one.agreement[best]) for one in look.own]
     wrong = fits[0] < _CLEAR or (k != 0.0 and not sideways and doubts[i] > 4.0 > 4.0 * doubts[1 - i])
     few = own.chords < _FEWEST or (k == 0.0 and (own.turned < 1.0 or line))
-    unlike = few or not wrong or fits[best] < _FOLLOWS or (k == -1.0 and _turn_between(path) > _LOST)
+    unlike = few or not wrong or fits[best] < _FOLLOWS or (k == -1.0 and own.step > _LOST)
     return None if unlike else k
 
 
@@ -662,7 +672,8 @@ def _flips(look: Look, i: int) -> Figures | None:
     steady = replace(path, yaw_rad=np.unwrap(path.yaw_rad))
     steady.yaw_rad[1:] -= np.cumsum(alike * np.sign(turn) * size)
     # what overflows does so at one value
-    at_one = _concentration(path.yaw_rad[jumps + (turn[jumps] < 0.0)]) > _FOLLOWS and len(jumps) > 0.8 * sudden.sum()
+    values = np.abs(wrap(path.yaw_rad[jumps])), path.yaw_rad[jumps + (turn[jumps] < 0.0)]
+    at_one = max(map(_concentration, values)) > _FOLLOWS and len(jumps) > 0.8 * sudden.sum()
     if not path.headed or look.own[i].fixed > _FOLLOWS or len(jumps) < few or not (few == 1 or at_one):
         return None
     if look.headed and abs(look.having(i, steady).correlations[2, 2]) < _UNCLEAR:
@@ -671,12 +682,8 @@ def _flips(look: Look, i: int) -> Figures | None:
     ends = np.clip(jumps + np.array(((-_FEWEST,), (0,), (1,), (1 + _FEWEST,))), 0, len(step))
     before, _, after = np.diff(path.xyz[ends, :2], axis=0)
     on = np.sum(before * after, axis=1) > -0.5 * np.prod(np.linalg.norm((before, after), axis=2), axis=0)
-    words = {
-        "i": i,
-        "count": len(jumps),
-        "by": f"{np.degrees(size):.0f}",
-        "causes": HALF_TURNS if few == 1 else OVERFLOWS,
-    }
+    words = {"i": i, "count": len(jumps), "by": f"{np.degrees(size):.0f}"}
+    words["causes"] = HALF_TURNS if few == 1 else OVERFLOWS
     if on.mean() >= 0.5 and (few == 1 or own_of(steady).agreement[0] > _FOLLOWS):
         return words | {"how": "while its path goes on", "undo": lambda _: _ahead(look, i, steady)}
     rows = increments(path.trajectory().xyt).rows
@@ -711,8 +718,7 @@ def _stale_headings(look: Look, i: int) -> Figures | None:
     moves = np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1) > 0.0
     if len(changes) < _FEWEST or np.add.reduceat(moves, changes[:-1]).mean() < _FEWEST / 2.0:
         return None
-    every = np.diff(path.t_s[changes])
-    usual = float(np.median(every))
+    usual = float(np.median(every := np.diff(path.t_s[changes])))
     if usual < 0.5 or np.mean(np.abs(every / usual - np.rint(every / usual)) < _CLOSE) < _FOLLOWS:
         return None
     rows = increments(path.trajectory().xyt).rows
@@ -774,7 +780,10 @@ def _never_turns(look: Look) -> Figures | None:
     own, real, _ = look.sizes[1]
     corr, drives = look.correlations[2, 2], look.own[0].turned < 1.0 and look.scales[0].sure
     still = own < 0.1 * real and not look.scales[1].sure and (drives or corr > -_UNCLEAR)
-    if real <= _FEW_TURNS or not (look.own[0].straight or still):
+    # positions alone show it as a path in all directions beside one along a line
+    bent = not look.paths[1].headed and look.own[0].line > _FOLLOWS > _CLEAR > look.own[1].line
+    bent = bent and not look.scales[1].sure
+    if not bent and (real <= _FEW_TURNS or not (look.own[0].straight or still)):
         return None
     here, there = look.windows[0][:, 0], np.abs(look.windows[1])
     spot = moving(there[:, 2]) & (there[:, 0] < _MOVING * np.percentile(there[:, 0], 80.0))
@@ -795,8 +804,8 @@ def _upright(look: Look) -> Figures | None:
         return None
     order = [(up + 1) % 3, (up + 2) % 3, up]
     plane = "-".join(sorted("xyz"[k] for k in order[:2]))
-    undo = lambda path: replace(path, xyz=path.xyz[:, order]).without_headings()  # noqa: E731
-    return {"i": 1, "up": "xyz"[up], "plane": plane, "undo": undo}
+    words = {"i": 1, "up": "xyz"[up], "plane": plane}
+    return words | {"undo": lambda path: replace(path, xyz=path.xyz[:, order]).without_headings()}
 
 
 def _stretched(look: Look) -> Figures | None:
@@ -812,7 +821,7 @@ def _stretched(look: Look) -> Figures | None:
     wave, along = float(np.hypot(*waves)), float(np.arctan2(-waves[1], -waves[0])) / 2.0
     left, varies = (np.median(np.abs(ratio - x)) for x in (design @ [mean, *waves], np.median(ratio)))
     # what depends on the speed, too, is no factor
-    if not _CLOSE * mean < wave < 0.99 * mean or left > min(_CLEAR * varies, 0.1 * mean):
+    if not _CLOSE * mean < wave < 0.8 * mean or left > min(_CLEAR * varies, 0.1 * mean):
         return None
     factor = float(np.sqrt((mean + wave) / (mean - wave)))
     # the axis along which lengths agree is right
@@ -887,9 +896,8 @@ def _rate(look: Look) -> Figures | None:
             factor = max(trials.tolist(), key=lambda k: alike(k, from_start=True))
     if abs(np.log(factor)) < _ALIKE / 2.0 or (mended := alike(factor, from_start=True)) < least:
         return None
-    doubt = "" if logged else ", or the other one by the inverse"
-    undo = lambda path: stretched(path, factor)  # noqa: E731
-    return {"i": i, "rate": 1.0 / factor, "factor": float(factor), "best": mended, "doubt": doubt, "undo": undo}
+    words = {"i": i, "doubt": "" if logged else ", or the other one by the inverse", "best": mended}
+    return words | {"rate": 1.0 / factor, "factor": float(factor), "undo": lambda path: stretched(path, factor)}
 
 
 def _bursts(look: Look, i: int) -> Figures | None:
@@ -917,7 +925,7 @@ def _late(look: Look) -> Figures | None:
     if most < max(0.7, here + 0.25, float(corr.mirrored[near].max()) + 0.02):
         return None
     words = {"off": f"{abs(lag_s):.1f}", "side": "behind" if lag_s > 0.0 else "ahead of", "shift": f"{lag_s:.1f}"}
-    return {"i": 1, "best": most, "near": here, **words}
+    return words | {"i": 1, "best": most, "near": here}
 
 
 def _turns_late(look: Look) -> Figures | None:
@@ -930,8 +938,8 @@ def _turns_late(look: Look) -> Figures | None:
         return None
     rows = increments(path.xyt).rows
     rows[:, 2] = np.diff(np.interp(t_s + late_s, t_s, np.unwrap(path.xyt[:, 2])))
-    side = ("earlier", "later")[int(late_s > 0.0)]
-    return {"late": f"{abs(late_s):.1f}", "side": side, "undo": lambda path: _moved_by(path, rows)}
+    words = {"late": f"{abs(late_s):.1f}", "side": "later" if late_s > 0.0 else "earlier"}
+    return words | {"undo": lambda path: _moved_by(path, rows)}
 
 
 _WHEELS = {
@@ -978,15 +986,6 @@ def _matrix(look: Look, axes: list[int]) -> tuple[Array, float]:
 
 def _wheel_gains(look: Look) -> Figures | None:
     """Find wheels that count by unequal factors g: motions are J' diag(g) J / n times the truth's, J of `_WHEELS`."""
-    turn, (own, real) = look.scales[1], (float(_correlations(x, x)[0, 2]) for x in look.motions[:2])
-    beside = look.headed and turn.sure and abs(np.log(turn.value)) < _CLOSE and not look.scales[0].sure
-    if beside and abs(own) > 0.999 and abs(real) < 0.95:  # on one circle gains are not identifiable
-        which = "left" if own > 0.0 else "right"
-        return {
-            "each": "whose difference is the travel, beside turns that agree", "explained": f"{own**2:.1%}",
-            "cause": f"the {which} wheel counts the wrong way (its channels A and B are exchanged), beside a gyro",
-            "change": f"negate the counts of the {which} wheel; {_RECORD}", "then": "",
-        }  # fmt: skip
     axes = [0, 1, 2] if look.sideways else [0, 2]
     names, rolls = _WHEELS[2 * len(axes) - 2]
     matrix, explained = _matrix(look, axes)
@@ -1003,7 +1002,12 @@ def _wheel_gains(look: Look) -> Figures | None:
     gains = np.trace(mean) / len(axes) + np.einsum("ij,jk,ik->i", rolls, scaled - mean, rolls) / 2.0
     most = float(np.abs(gains).max())
     off = np.abs(rolls.T @ (gains[:, None] * rolls) / len(rolls) - scaled).max()
-    if off > 0.2 * most or np.ptp(gains) < (1.0 - 1.0 / _WRONG) * most * np.sqrt(len(rolls) / 2.0):
+    # travel sideways beside two wheels is that of a point off their centre
+    if (
+        (look.sideways and not look.strafes)
+        or off > 0.2 * most
+        or np.ptp(gains) < (1.0 - 1.0 / _WRONG) * most * np.sqrt(len(rolls) / 2.0)
+    ):
         return None
     dead, reverse = np.abs(gains) < 0.1 * most, gains < -0.3 * most
     wrong = next(x for x in (reverse, dead, np.abs(gains - 1.0) > 0.15, gains < np.inf) if x.any())
@@ -1061,11 +1065,12 @@ def _turned_axes(look: Look) -> Figures | None:
 def _aside(look: Look) -> Figures | None:
     """Find travel sideways of another sign or size while travel forwards and turns agree."""
     c, side, v = look.correlations, look.ratio(1), look.scales[0]
-    drives = all(np.std(x[:, 1]) > _MOVING * np.std(x[:, 0]) for x in look.windows[:2])
+    drives = look.strafes and all(np.std(x[:, 1]) > _MOVING * np.std(x[:, 0]) for x in look.windows[:2])
     clear = min(abs(c[1, 1]), c[0, 0], c[2, 2]) > _CLEAR and side.number >= _FEWEST and side.spread < 0.5
     if look.paths[1].headed and min(c[0, 0], c[2, 2]) > _CLEAR and not drives:
         here, there = look.windows[0] * (v.value if v.sure else 1.0, 1.0, 1.0), look.windows[1]
-        rest = np.abs(there[:, 1:2] - here[:, ::2] @ _linear(here[:, ::2], there[:, 1:2])[0].T)[:, 0]
+        rest = (there[:, 1:2] - here[:, ::2] @ _linear(here[:, ::2], there[:, 1:2])[0].T)[:, 0]
+        rest = np.abs(np.convolve(rest, np.ones(8) / 8.0, "same"))  # noise of a localisation does not last
         usual = np.percentile(np.abs(there[:, 0]), 80.0)
         # where headings of the truth are turned for a while, it moves sideways only as the odometry drives
         off = (rest > _MOVING * usual) & (rest < 2.0 * usual) & (np.abs(here[:, 0]) < rest / 2.0) & look.seen
@@ -1138,7 +1143,9 @@ def _overflows(look: Look, i: int) -> Figures | None:
     bend = float(np.median(np.abs(wrap(rows[far, 2] - usual[far, 2]))))
     size *= (sides := 1 + int(bend > _BENT_RAD))  # of one wheel of two; without a turn it is the only one, or both
     wheel_m = float(np.median(size[far] + sides * np.abs(usual[far, 0])))  # the wheel goes on meanwhile
-    if np.mean(np.abs(size[far] - wheel_m) < 0.25 * wheel_m) < 0.5:  # travel has the cosine of a steering angle
+    at_s = look.paths[0].t_s[1:][far]
+    # travel has the cosine of a steering angle
+    if np.mean(np.abs(size[far] - wheel_m) < 0.25 * wheel_m) < 0.5 and not _once_a_second(at_s):
         return None
     return _counter(int(far.sum()), wheel_m, bend, size[~far], usual, look.paths[0].t_s[1:][far])
 
@@ -1154,17 +1161,17 @@ def _counter(count: int, wheel_m: float, turn: float, increments_m: Array, rows:
     gaps = gaps[gaps > 1e-8]
     tick = float(np.median(gaps[gaps < 1.5 * gaps.min()])) if len(gaps) else np.inf
     bits = round(power := float(np.log2(max(wheel_m / tick, 1.0))))
-    known = bits > 7 and abs(power - bits) < 0.02
     cause = "a counter overflows (often of 8 or 16 bits), or is reset at stops"
-    if known:
+    if bits > 7 and abs(power - bits) < 0.02:
         cause = f"a counter overflows: 2^{bits} ticks of {tick * 1e3:.3g} mm: a counter of {bits} bits"
-    if (
-        len(every_s := np.diff(at_s)) > 3
-        and every_s.min() > 0.5
-        and np.mean(np.abs(every_s - np.rint(every_s)) < 0.1) > 0.9
-    ):
+    if _once_a_second(at_s):
         cause = "once a second: a time step is taken from the nanoseconds alone"
     return {"count": count, "size": size, "cause": cause, "undo": lambda path: _moved_by(path, rows)}
+
+
+def _once_a_second(at_s: Array) -> bool:
+    every_s = np.diff(at_s)
+    return len(every_s) > 3 and bool(every_s.min() > 0.5 and np.mean(np.abs(every_s - np.rint(every_s)) < 0.1) > 0.9)
 
 
 def _one_way(look: Look, axis: int) -> Figures | None:
@@ -1202,10 +1209,13 @@ def _spot_turns(look: Look) -> Figures | None:
     here, there, _ = look.windows
     turns, travels = moving(there[:, 2]), np.abs(there[:, 0])
     usual = np.percentile(travels, 80.0)
-    spot = turns & (travels < _MOVING / 2.0 * usual) & (np.abs(here[:, 0]) < _MOVING / 2.0 * usual)
-    parts = [np.median(here[x, 2] / there[x, 2]) if x.sum() >= _FEWEST else np.nan for x in (spot, turns & ~spot)]
-    lost = look.headed and abs(parts[0]) < _MOVING / 2.0 and abs(parts[1] - 1.0) < 2.0 * _CLOSE
-    return {"share": f"{spot.sum() / max(turns.sum(), 1):.0%}"} if lost else None
+    spot, bends = turns & (travels < _MOVING / 2.0 * usual), turns & (travels > 0.5 * usual)
+    parts = [np.median(here[x, 2] / there[x, 2]) if x.sum() >= _FEWEST else np.nan for x in (spot, bends)]
+    if not (look.headed and abs(parts[0]) < _MOVING / 2.0 and abs(parts[1] - 1.0) < 2.0 * _CLOSE):
+        return None
+    ahead = np.median(here[spot, 0]) > _MOVING / 2.0 * usual
+    words = {"how": "drives ahead", "causes": _NO_DIRECTION} if ahead else {"how": "does not turn", "causes": _NO_SPOT}
+    return words | {"share": f"{spot.sum() / turns.sum():.0%}"}
 
 
 def _one_encoder(look: Look) -> Figures | None:
@@ -1238,10 +1248,7 @@ def _in_reverse(look: Look) -> Figures | None:
 
 
 def _limit(look: Look) -> Figures | None:
-    """Find odometry that keeps its largest speed, yaw rate or curvature where the truth has a larger one.
-
-    Or the reverse, for speeds: of commands that the robot did not follow.
-    """
+    """Find odometry at its largest speed, yaw rate or curvature where the truth has a larger one; or the reverse."""
     pair = [np.abs(x) + 1e-9 for x in look.windows[:2]]
     own, real = (x[moving(look.windows[0][:, 0])] for x in pair)
     speeds = [x[:, 0] / look.window_s for x in (own, real)]
@@ -1260,14 +1267,14 @@ def _limit(look: Look) -> Figures | None:
         agrees = abs(usual - 1.0) < _CLOSE
         if here is bends[0] or (here is rates[0] and not agrees):  # windows with fewer turns have parts at the limit
             agrees, usual = bool(1.5 * far[0] < far[2] < 10.0), 1.0
+        # a robot that follows its commands reaches its limit at times
+        agrees = agrees and not (here is speeds[1] and at.mean() < _UNCLEAR)
         beyond = far[0] > usual + 0.05 or ("travels" in does and far[2] > 1.5 * usual * far[0])
         if agrees and beyond and far[1] > max(usual, 1.0) + _CLOSE:
             names = [look.paths[0].place, "the truth", *SATURATES]
-            one, beside, cause, change = names if here is not speeds[1] else [*names[1::-1], *COMMANDS]
-            return {
-                "one": one, "beside": beside, "does": does.format(top), "verb": does.split()[0], "far": float(far[1]),
-                "share": f"{at.mean():.0%}", "cause": cause, "change": change,
-            }  # fmt: skip
+            names = names if here is not speeds[1] else [*names[1::-1], *COMMANDS]
+            words = dict(zip(("one", "beside", "cause", "change"), names, strict=True)) | {"far": float(far[1])}
+            return words | {"does": does.format(top), "verb": does.split()[0], "share": f"{at.mean():.0%}"}
     return None
 
 
@@ -1303,20 +1310,39 @@ def _whole_steps(look: Look) -> Figures | None:
     # increments of ticks lose nothing, and speeds that are rounded neither
     near = abs(lost - wheels / 2.0) < max(0.2, 0.1 * wheels)
     usual = float(np.median(np.abs(rows[:, 0] / per)[np.abs(rows[:, 0]) > 0.0]))
-    if lost < max(0.25, 2.5 * error) or not near or not 0.04 * usual < lost * step < 0.5 * usual:
+    if lost < max(0.25, 2.5 * error) or not near or not 0.04 * usual < lost * step < 1.1 * usual:
         return None
     # of turns, both wheels lose alike if they are cut down
     halves = np.stack((step * sides[down], 0.0 * per, (not down) * turn * np.sign(rows[:, 2])), axis=1)
     mended = rows + lost * per[:, None] * halves
     said = f"{'speeds' if speeds else 'increments'} are whole steps of {1e3 * wheels * step:.3g} mm{'/s' * speeds}"
-    return {"steps": said, "lost": f"{lost:.2f} +- {error:.2f}", "undo": lambda path: _moved_by(path, mended)}
+    words = {"steps": f"{said} of a wheel", "lost": f"travels {lost:.2f} +- {error:.2f}"}
+    return words | {"undo": lambda path: _moved_by(path, mended)}
+
+
+def _whole_turns(look: Look) -> Figures | None:
+    """Find turns that are multiples of a step, and by half of which the truth turns farther than they say."""
+    path, (here, there, (starts, _)) = look.paths[0], look.windows
+    rows = increments(path.trajectory().xyt).rows
+    step, used = step_of(rows[:, 2]) or 0.0, moving(there[:, 2])
+    few = used.sum() < 3 * _FEWEST or look.sizes[1][:2].min() < _FEW_TURNS
+    if not look.headed or few or step <= 0.1 * np.percentile(np.abs(rows[:, 2]), 90.0):
+        return None
+    halves = step / 2.0 * np.sign(rows[:, 2:])
+    counted = _Travel(path.t_s, np.concatenate((np.zeros((1, 1)), np.cumsum(halves, axis=0)))).within(
+        starts, look.window_s
+    )
+    lost = np.linalg.lstsq(np.hstack((counted, here[:, 2:]))[used], (there - here)[used, 2], rcond=None)[0][0]
+    if abs(lost - 1.0) > 2.0 * _CLOSE:
+        return None
+    words = {"steps": f"turns are whole steps of {np.degrees(step):.3g} deg", "lost": f"turns {lost:.2f}"}
+    return words | {"undo": lambda path: _moved_by(path, rows + halves * (0.0, 0.0, 1.0))}
 
 
 def _slow_turns(look: Look) -> Figures | None:
     """Find odometry that reports no turns below a rate, though the truth turns: a dead band.
 
-    The smallest turns are far from zero and no multiples of a step. In motion many are zero, where the truth turns
-    otherwise than in proportion to travel or time: unequal wheels and a bias turn a robot whose command is straight.
+    Unequal wheels and a bias turn a robot whose command is straight, too, in proportion to travel or time.
     """
     path, (here, there, (starts, _)), window_s = look.paths[0], look.motions, look.window_s
     rows, dt_s = increments(path.trajectory().xyt).rows, np.diff(path.t_s)
@@ -1500,14 +1526,9 @@ def _densest(x: Array, count: int) -> float:
     return at if other < 0.2 * same else 0.0
 
 
-def _turn_between(path: Samples) -> float:
-    """Return the usual largest turn from one message to the next, rad."""
-    return float(np.percentile(np.abs(wrap(np.diff(path.yaw_rad))), 95.0))
-
-
 def _turns_too_far(look: Look) -> Figures | None:
     """Find odometry that turns by about half a turn and more from one message to the next, unlike the truth."""
-    path, (_, there, _), most = look.paths[0], look.windows, _turn_between(look.paths[0])
+    path, (_, there, _), most = look.paths[0], look.windows, look.own[0].step
     usual = float(np.percentile(np.abs(there[:, 2]), 95.0)) * path.span_s / len(path) / look.window_s
     if not most > _LOST > 10.0 * usual:
         return None
@@ -1560,10 +1581,12 @@ def _ratios(look: Look, travel: bool, turn: bool, *, alike: bool = False) -> Fig
     turns = w.beyond(_WRONG, _WRONG if wrong else _SKIDS) or (same and wrong)
     few = not w.sure and (look.sizes[1][:2].max() > _FEW_TURNS or v.spread > 2.0 * _ALIKE or look.sideways)
     few = few and not (v.beyond(2.0 * _SKIDS) and v.spread < _ALIKE)
+    left, right = (look.ratio(2, side) for side in (1, -1))
+    # beside positions alone, turns of two sides that differ by far have another cause
+    few = few or (turn and not look.headed and min(left.value, right.value) < 0.5 * max(left.value, right.value))
     if (wrong, turns) != (travel, turn) or same is not alike or few:
         return None
     gains = v.value if travel else 1.0, v.value if alike else w.value if turn else 1.0
-    left, right = (look.ratio(2, side) for side in (1, -1))
     if turn and abs(left.value - right.value) > 0.5 * w.value and look.paths[1].headed:
         # turns that differ by a part of the travel, as by a steering's zero, are no factor
         part, explained = _linear(look.windows[0][:, ::2], look.windows[1][:, 2:])
@@ -1710,10 +1733,11 @@ PATTERNS = (
     Pattern("turns too far",
             "{who} turns by {most} deg and more between messages, {other} by {usual}: beyond 180 deg turns are lost",
             "{causes}", "give lengths in metres and angles in radians; " + _RECORD, "", _turns_too_far),
-    Pattern("whole steps", "{who}: its {steps} of a wheel, and the rest is lost: the truth travels {lost} half "
+    Pattern("whole steps", "{who}: its {steps}, and the rest is lost: the truth {lost} half "
             "steps farther each time", "integers in a loop or a protocol, cut off",
             "keep the remainder for the next cycle, or take floating point",
-            "half a step is added to each wheel, and not in the model", _whole_steps),
+            "half a step is added each time, and not in the model",
+            lambda look: _whole_steps(look) or _whole_turns(look)),
     Pattern("slow turns", "{who} reports no turns slower than {rate} deg/s, {other} turns then, too",
             "a dead band against the noise of a gyro or of increments; speeds cut to whole steps",
             "leave it out, or apply it at rest alone", "it is part of the model",
@@ -1743,15 +1767,16 @@ PATTERNS = (
             "an unsigned yaw rate, or an angle from an arc cosine", "keep the sign; " + _RECORD, "",
             lambda look: _one_way(look, 2)),
     Pattern("turns on the spot",
-            "{who} does not turn where {other} turns on the spot ({share} of the turns); in bends they agree", _NO_SPOT,
-            "integrate the yaw rate at any speed; " + _RECORD, "", _spot_turns),
+            "{who} {how} where {other} turns on the spot ({share} of the turns); in bends they agree", "{causes}",
+            "integrate the yaw rate at any speed; count both channels; " + _RECORD, "", _spot_turns),
     Pattern("turns otherwise",
             "{who} travels as the truth does, but its turns do not follow the truth's (correlation {corr})",
             "degrees given to a tangent or sine; a compass beside iron; a dead zone of slow wheels or turns; the angle "
             "of another joint or axis; a truth of a point far from the axle, without headings", _RECORD, "",
             _turns_otherwise),
     Pattern("travels otherwise", "{who}: its travel does not follow the truth's (correlation {corr})",
-            "counts that overflow all the time (8 or 16 bits); totals that are added as increments; another robot",
+            "counts that overflow all the time (8 or 16 bits); totals that are added as increments; beside turns "
+            "by a gyro that agree, a wheel that counts the wrong way; another robot",
             "subtract counts as signed integers of the counter's width; " + _RECORD, "", _travels_otherwise),
     Pattern("sideways", "{who} {how} {other}; forwards they agree",
             "two wheels are exchanged; the sideways part of the kinematics has another sign or factor, or is left out",

@@ -107,38 +107,14 @@ def stretches(path: Samples, reach: Reach) -> Stretches:
     main = int(np.argmax([len(p) for p in pieces]))
     groups, outliers = [[pieces[main]]], len(path) - len(rows)
     for ordered, end, begin, at in ((pieces[main + 1 :], -1, 0, -1), (pieces[:main][::-1], 0, -1, 0)):
-        for whole in ordered:
-            groups[at][at], piece, spikes = _apart_from_spikes(xyt, groups[at][at], whole, later=bool(at))
-            last, outliers = groups[at][at], outliers + spikes
-            if not far(last[end], piece[begin]):
+        for piece in ordered:
+            if not far(groups[at][at][end], piece[begin]):
                 groups[at].insert(len(groups[at]) if at else 0, piece)
             elif t_s[piece[-1]] - t_s[piece[0]] >= OUTLIER_S:
                 groups.insert(len(groups) if at else 0, [piece])
             else:
                 outliers += len(piece)
     return Stretches(tuple(np.concatenate(group) for group in groups), outliers)
-
-
-def _apart_from_spikes(
-    xyt: Array, kept: NDArray[np.int64], piece: NDArray[np.int64], *, later: bool
-) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """Return two neighbouring pieces without a spike where they meet, and its number of poses.
-
-    The step to a spike may be barely a jump while the step back is barely none; then the spike belongs to a piece.
-    """
-    way = 1 if later else -1
-    inner, outer = kept[::-way], piece[::way]  # both from where they meet
-    spikes = [_spike_at(xyt[inner], xyt[outer[0]]), 0]
-    inner = inner[spikes[0] :]
-    spikes[1] = _spike_at(xyt[outer], xyt[inner[0]])
-    return inner[::-way], outer[spikes[1] :][::way], sum(spikes)
-
-
-def _spike_at(piece_xyt: Array, other_xyt: Array) -> int:
-    """Return the number of poses with which a piece (n, 3) begins before it comes back to another pose (3,)."""
-    away = _apart(piece_xyt[: LONGEST + 1], other_xyt)[:, 0]
-    back = np.flatnonzero(away[1:] < _MAX_LEFT * away[0])
-    return int(back[0]) + 1 if len(back) else 0
 
 
 def _noise(path: Samples, part: float) -> Array:

@@ -164,13 +164,9 @@ def filter_warnings(odometry: Samples, feedback: Feedback) -> list[str]:
     if len(own := odometry.variance_m2) >= _MIN_STEPS and (shrinks := int(np.sum(own[1:] < _SHRINKS * own[:-1]))):
         signs.append(f"its covariance shrinks {shrinks} times")
     if feedback.per_s:
-        faded = f"fade by {1.0 - np.exp(-feedback.per_s):.0%} a second, as"
-        if feedback.of_headings:
-            signs.append(
-                f"its errors of heading {faded} those of a compass or of a yaw error that depends on the heading"
-            )
-        else:
-            signs.append(f"its errors {faded} those of a filter that receives poses")
+        faded = f"fade by {1.0 - np.exp(-feedback.per_s):.0%} a second, as those of"
+        compass = f"of heading {faded} a compass or of a yaw error that depends on the heading"
+        signs.append(f"its errors {compass if feedback.of_headings else f'{faded} a filter that receives poses'}")
     if not signs:
         return []
     what = "a motion model describes odometry that no other sensor has corrected"
