@@ -603,8 +603,8 @@ def _factor_of_course(look: Look, i: int, beside: Array | float) -> float | None
     own, other, path, (travel, turn) = look.own[i], look.own[1 - i], look.paths[i], look.scales
     sideways, line = isinstance(beside, np.ndarray), min(own.line, other.line) > _FOLLOWS
     fits = tuple(_courses(path, k, beside)[1] for k in COURSES) if sideways else own.agreement
-    # between messages an angle in degrees turns as 57.3 times the other one does, also if it has no way along the path
-    # unless travel is as many times as far: a radius
+    # between messages an angle in degrees turns as 57.3 times the other one does, also if it has no way along the path,
+    # unless it travels as many times as far: that is a radius
     unit = not turn.sure or abs(np.log(turn.value ** (2 * i - 1) / _DEGREE)) < _CLOSE
     unit = unit and not (travel.sure and turn.sure and abs(np.log(travel.value / turn.value)) < _ALIKE)
     off = [1.0 - look.turns_by(i, k) if look.headed and unit and fits[0] < _FOLLOWS else 1.0 for k in (_DEGREE, 1.0)]
@@ -658,7 +658,7 @@ def _steps_and_headings(look: Look, i: int) -> Figures | None:
 
 
 def _flips(look: Look, i: int) -> Figures | None:
-    """Find headings that jump by half a turn, alone or with their path, while the other trajectory goes on."""
+    """Find headings that jump by half a turn, or always by one angle, alone or with their path, unlike the other's."""
     path = look.paths[i]
     turn, step = wrap(np.diff(path.yaw_rad)), np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
     sides = np.array((np.append(turn[1:], 0.0), np.append(0.0, turn[:-1])))

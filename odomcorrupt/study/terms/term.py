@@ -283,7 +283,6 @@ def library_families(
         wanted = wanted and alone and drive.admits(kind)
         possible = (sideways or not kind.needs_sideways) and (track or not kind.needs_track or brings_track(kind))
         possible = possible and (placed or not kind.reads_places)
-        # beside a truth of the base itself, a lever arm is that of the odometry: a centre of turning, or of one wheel
         # of a truth of the base itself, a lever arm is that of the odometry: a centre of turning, or of one wheel
         possible = possible and (name != "mount_yaw" or name in mountings(recordings))
         if wanted and possible:
