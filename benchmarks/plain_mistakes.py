@@ -156,7 +156,7 @@ def plant(seed: int, seconds: float = 100.0) -> Case:  # noqa: C901, PLR0912, PL
         left, rightw = np.abs(own[:, 0] - arm), np.abs(own[:, 0] + arm)
         own, right = (
             np.column_stack(((left + rightw) / 2.0, 0.0 * left, (rightw - left) / robot.track_m)),
-            ("never reverses",),
+            ("sign",),
         )
     elif what == "overflow":
         bits = int(rng.choice([12, 13, 16]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from odomcorrupt.study.io.first_look import COMMANDS, COURSES, HALF_TURNS, OVERFLOWS, PATTERNS, SATURATES
+from odomcorrupt.study.io.first_look import COMMANDS, COURSES, PATTERNS, THRESHOLDS
 
 PAGE = Path(__file__).parent / "how-to" / "mistakes.md"
 HEAD = """# Plain mistakes
@@ -41,6 +41,14 @@ wrong:
 | the path turns | usual causes, if its headings are wrong | if its path is |
 |---|---|---|
 """
+
+
+def thresholds(kind: str) -> dict[str, str]:
+    """Return causes and change of a limit or a dead zone, of the odometry and of the truth."""
+    both = zip(("causes", "change"), zip(THRESHOLDS[kind], COMMANDS[kind], strict=True), strict=True)
+    return {word: "; or, if it is that of the truth: ".join(said) for word, said in both}
+
+
 FIGURES = {
     "who": "/odom", "other": "/truth", "count": 100, "size": "0.944 m", "speed": 310,
     "factor": 0.0175, "plane": "x-z", "up": "y", "what": "never change", "off": 12.0,
@@ -57,40 +65,38 @@ FIGURES = {
 }  # fmt: skip
 """Example of each figure."""
 OWN = {
-    "never turns": {"causes": "a steering angle or yaw rate that stays 0; one counter read for both wheels; encoders "
-                              "without direction; if it turns on the spot alone, as below"},
-    "turns on the spot": {"how": "does not turn", "share": "59%", "causes": "a yaw rate by curvature times speed, or "
-                          "headings that are integrated above a speed alone; if it drives ahead there, encoders "
-                          "without direction"},
     "steps and headings": {
         "times": "57.3 times as far as", "which": ", and its headings turn as /truth",
         "causes": "x += v cos(yaw) dt with yaw in degrees; others below",
         "then": "its headings are multiplied, or its path is made again of its steps and headings",
     },
-    "in reverse": {"v": 1, "w": -1},
+    "sign": {"does": "counts its wheels in reverse forwards", "share": "29%",
+             "causes": "encoders without direction (one channel, or a counter that cannot count down); unsigned speeds "
+             "or yaw rates; yaw rate of the absolute speed; the cosine of a "
+             "steering angle is left out",
+             "change": "count both channels, give speeds a sign"},
     "overflow": {"cause": "a counter overflows (often of 8 or 16 bits), or is reset at stops; once a second, a time "
                           "step is taken from the nanoseconds alone"},
-    "bursts": {"few": 18, "apart": 0.6}, "slow turns": {"rate": 26},
+    "slow turns": {"rate": 26},
     "resets": {"where": "4.99 m at 77 s", "causes": "the node or the board was restarted; a counter was reset; counts "
                "or speeds are read as unsigned"},
-    "flips": {"how": "while its path goes on", "by": 180, "causes": f"{HALF_TURNS}; {OVERFLOWS}"},
-    "limit": {"one": "/odom", "beside": "the truth", "does": "travels 0.45 m/s", "verb": "travels", "share": "76%",
-              "far": 2} | {word: "; or, if the truth is at its limit: ".join(both) for word, both in
-                          zip(("cause", "change"), zip(SATURATES, COMMANDS, strict=True), strict=True)},
-    "stale headings": {"every": 2.0}, "turns at rest": {"rate": 4.1}, "other way round": {"count": 2},
+    "flips": {"how": "while its path goes on"},
+    "limit": {"one": "/odom", "beside": "the truth", "what": "speeds of its wheels", "at": "0.45 m/s", "share": "71%"}
+    | thresholds("limit"),
+    "dead zone": {"one": "/odom", "beside": "the truth", "what": "yaw rates", "at": "0.23 rad/s", "share": "35%"}
+    | thresholds("dead zone"),
+    "gaps": {"count": 596, "lost": "43"}, "clamped headings": {"share": "17%"},
+    "other way round": {"count": 2},
     "late turns": {"late": 1.5, "side": "later"}, "stretched": {"who": "/truth", "factor": 1.62, "along": 0},
-    "publishers": {"share": "50%", "far": 1.4},
     "plane": {"who": "/truth"}, "headings of the truth": {"who": "/truth", "what": "are 0 or 180 deg alone"},
-    "repeated poses": {"longest": 25.0, "count": 1},
     "clock rate": {"factor": 2.0}, "stands still": {"share": "50%"},
     "whole steps": {"steps": "increments are whole steps of 1 mm of a wheel", "lost": "travels 0.9 +- 0.1"},
-    "whole positions": {"step": "10 mm", "far": 22, "few": 5},
     "stamps": {"note": "/odom: 4341 of its poses have the stamp of the one before, while it moves, or stamps read as "
                "milliseconds beside seconds"},
     "turns too far": {"usual": 4, "causes": "wheel separation, or radius, in other units; degrees for radians"},
     "Euler steps": {"at": "beginning", "most": 22},
     "sideways": {"how": "moves sideways the other way than"}, "late clock": {"who": "/truth", "side": "behind"},
-    "turned axes": {"angle": 45}, "never turns one way": {"side": "right"},
+    "turned axes": {"angle": 45},
     "unit of lengths": {"unit": "millimetres"},
     "one heading": {"when": "from 70 s to 180 s", "does": "has one heading"},
 }  # fmt: skip

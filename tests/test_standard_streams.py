@@ -18,7 +18,7 @@ from odomcorrupt.bags.block import TABLE, Block
 from odomcorrupt.cli import run
 from odomcorrupt.commands import _progress
 from odomcorrupt.standard_streams import TextStream, visible
-from odomcorrupt.study.work import Work
+from odomcorrupt.study.select.selection import stages
 from terminal import on_a_terminal
 
 FIXTURES = Path(__file__).parent.parent / "fixtures"
@@ -267,9 +267,9 @@ def test_a_search_says_its_stage_and_the_share_done():
 
 def test_the_share_done_never_falls_and_stays_below_one_however_long_the_search():
     said = []
-    work = Work(lambda stage, share: said.append((stage, share)))
+    begin = stages(lambda stage, share: said.append((stage, share)))
     for _ in range(40):
-        work.begin("refits")
+        begin("refits")
     assert said[0] == ("refits", 0.0)
     assert all(0.0 < later[1] - before[1] < 0.5 for before, later in pairwise(said))
     assert said[-1][1] < 1.0

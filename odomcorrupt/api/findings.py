@@ -47,10 +47,10 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Mistake
     from odomcorrupt.study.pipeline import DiagnosedModel, LearnedRobot
     from odomcorrupt.study.select.decisions import Decisions
+    from odomcorrupt.study.select.selection import Watch
     from odomcorrupt.study.validate.compare import Comparison as ModelComparison
     from odomcorrupt.study.validate.compare import ModelEvaluation
     from odomcorrupt.study.validate.round_trip import RoundTrip
-    from odomcorrupt.study.work import Watch
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.laser.mapping import LaserMaps
     from odomcorrupt.mapping.scan_map import ScanMap
-    from odomcorrupt.study.work import Watch
+    from odomcorrupt.study.select.selection import Watch
     from odomcorrupt.summary import Summary
 
 Method = Literal["odometry", "laser"]

@@ -20,15 +20,14 @@ from odomcorrupt.study.io.first_look import factors_of
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.contribution import contributions
 from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.selection import learn
+from odomcorrupt.study.select.selection import Watch, learn, stages
 from odomcorrupt.study.validate.compare import Comparison, clocks_beside, compare, sequence_comparison
 from odomcorrupt.study.validate.held_out import drop_unsupported_parts, without_parts
 from odomcorrupt.study.validate.predictive_check import Reproduction, reproduction_of
 from odomcorrupt.study.validate.round_trip import RoundTrip, verified_model
-from odomcorrupt.study.work import Watch, Work, no_progress
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.io.recording import Recording
@@ -87,23 +86,23 @@ def learn_robot(
     held_out: Sequence[Recording] = (),
     *,
     decisions: Decisions = DECISIONS,
-    watch: Watch = no_progress,
+    watch: Watch | None = None,
 ) -> LearnedRobot:
     """Return the model supported by recordings of one robot, with its evaluation on held-out data.
 
     recordings : runs of one robot, each with its own clock
     held_out : recordings for evaluation; without any, cross-validation on halves of `recordings`
     """
-    work = Work(watch)
+    begin = stages(watch)
     recordings, held_out = (
         with_correlation_lengths(thinned(some), choose_approach(some)) if some else some
         for some in (recordings, held_out)
     )
-    search = learn(recordings, factors_of(recordings), decisions=decisions, work=work)
-    work.begin("each part on held-out data")
-    search, (robot, proof, reproduction), remarks = _supported(search, recordings, held_out, work)
+    search = learn(recordings, factors_of(recordings), decisions=decisions, begin=begin)
+    begin("each part on held-out data")
+    search, (robot, proof, reproduction), remarks = _supported(search, recordings, held_out, begin)
     base = fit_robot(recordings, (), law_name=LAW, clocks=search.clocks)
-    work.begin("what the data leave open")
+    begin("what the data leave open")
     advice = advise(search)
     models = {"without effects": base.model}
     names = [effect.name for effect in factors_of(recordings)]
@@ -111,7 +110,7 @@ def learn_robot(
     names += [gain.effect.name for gain in search.noise]
     if names:
         models["with " + ", ".join(names)] = proof.model
-    work.begin("comparison on held-out data")
+    begin("comparison on held-out data")
     placed = [effect.name for effect in proof.model.effects if effect.reads_places]
     unplaced = placed if held_out and shared_frame([*recordings, *held_out]) is None else []
     judged_on = recordings if unplaced else held_out or recordings
@@ -140,7 +139,7 @@ _Written: TypeAlias = tuple[RobotFit, RoundTrip, Reproduction]
 
 
 def _supported(
-    search: Learned, recordings: Sequence[Recording], held_out: Sequence[Recording], work: Work
+    search: Learned, recordings: Sequence[Recording], held_out: Sequence[Recording], begin: Callable[[str], None]
 ) -> tuple[Learned, _Written, list[str]]:
     """Return a search without the parts that other data do not support or that no model file can have, and remarks.
 
@@ -149,7 +148,7 @@ def _supported(
     remarks: list[str] = []
     while True:
         search, parts = drop_unsupported_parts(search, held_out) if held_out else (search, ())
-        work.begin("fit")
+        begin("fit")
         remaining, written, more = _without_excess(search, recordings)
         unusable = written[1].left_out
         remarks += [part.remark for part in parts if part.failure]
@@ -211,7 +210,7 @@ def diagnose_model(
     *,
     name: str = "",
     decisions: Decisions = DECISIONS,
-    watch: Watch = no_progress,
+    watch: Watch | None = None,
 ) -> DiagnosedModel:
     """Return the errors in recordings that a model does not explain; None is a model of noise only.
 
@@ -224,12 +223,12 @@ def diagnose_model(
     start = factors_of(recordings) if model is None else (*model.effects, *model.setup.effects)
     if model is None or not model.noise.per_message:
         recordings = thinned(recordings)
-    work = Work(watch)
+    begin = stages(watch)
     law = LAW if model is None else model.noise.law_name
-    search = learn(recordings, start, law_name=law, decisions=decisions, work=work)
-    work.begin("what the data leave open")
+    search = learn(recordings, start, law_name=law, decisions=decisions, begin=begin)
+    begin("what the data leave open")
     advice = advise(search)
-    work.begin("comparison of the additions")
+    begin("comparison of the additions")
     sequence = sequence_comparison(search, with_gyros_corrected(recordings, search.fit), name or "without effects")
     search = replace(search, contributions=contributions(search.fit))
     return DiagnosedModel(search=search, advice=advice, sequence=sequence)

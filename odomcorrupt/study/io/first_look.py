@@ -20,8 +20,18 @@ from odomcorrupt.geometry.motion import step_of
 from odomcorrupt.geometry.se2 import Increments, accumulate, between, increments, wrap
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.study.io.jumps import reach_of, stretches
+from odomcorrupt.study.io.motion_maps import AGREE, PLAIN, STEERED_WHEELS, WHEELS, best_map, linear
 from odomcorrupt.study.io.plausibility import check_pair, cross_correlation
-from odomcorrupt.study.io.raw_trajectory import CLOCK_S, FEWEST, NO_STAMPS, READ_AS, REPEATED, runs_of
+from odomcorrupt.study.io.raw_trajectory import (
+    BACKWARDS,
+    CLOCK_S,
+    FEWEST,
+    NO_STAMPS,
+    READ_AS,
+    REPEATED,
+    SHARED,
+    runs_of,
+)
 from odomcorrupt.study.io.recording import Mistake
 
 if TYPE_CHECKING:
@@ -31,6 +41,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.io.motion_maps import MotionMap
     from odomcorrupt.study.io.raw_trajectory import Samples
     from odomcorrupt.study.io.recording import Recording
 
@@ -61,8 +72,6 @@ _LOST = 2.0
 """Turn between messages, rad, beyond which many exceed half a turn and are lost."""
 _FAST_MPS, _ROBOT_MPS = 60.0, 10.0
 """Speed that no robot has, and one that few have."""
-_PLAIN_RADPS = 0.03
-"""Yaw rate at rest of a gyro that was not zeroed; drift is ten times slower."""
 _DEGREE = 180.0 / np.pi
 COURSES = {
     1.0: ("like", "", ""),
@@ -318,11 +327,62 @@ class Look:
         if self.paths[1].headed:
             return self.motions
         pair, times = self.motions[:2], self.motions[2]
-        ahead, sign = np.abs(pair[0][:, 1]) < 0.3 * np.abs(pair[0][:, 0]), np.where(pair[0][:, 0] < 0.0, -1.0, 1.0)
+        sign = np.where(pair[0][:, 0] < 0.0, -1.0, 1.0)
         speeds = [sign * np.hypot(x[:, 0], x[:, 1]) for x in pair]
-        steady = moving(speeds[0]) & _steady(moving(speeds[1]) & ahead)
-        here, there = (np.column_stack((v, 0.0 * v, x[:, 2] * steady)) for v, x in zip(speeds, pair, strict=True))
+        here, there = (np.column_stack((v, 0.0 * v, x[:, 2] * self.steady)) for v, x in zip(speeds, pair, strict=True))
         return here, there, times
+
+    @cached_property
+    def steady(self) -> NDArray[np.bool_]:
+        """Windows (n,) in which turns are seen: all beside headings, those between long chords beside positions."""
+        pair = self.motions[:2]
+        if self.paths[1].headed:
+            return np.ones(len(pair[0]), dtype=bool)
+        one, other = (moving(np.hypot(x[:, 0], x[:, 1])) for x in pair)
+        return np.asarray(one & _steady(other & (np.abs(pair[0][:, 1]) < 0.3 * np.abs(pair[0][:, 0]))))
+
+    def rates(self, i: int) -> tuple[Array, Callable[[Array], Array]]:
+        """Return rates (k, 2) of travel and turns of one of the two, and their sums (n, 2) in steady windows."""
+        origin, starts = int(self.paths[0].stamps_ns[0]), self.motions[2]
+        path, other = (travel_of(self.paths[k], origin) for k in (i, 1 - i))
+        step_s = float(np.clip(3e-9 * np.median(np.diff(self.paths[i].stamps_ns)), _GRID_S, 0.5))
+        t_s = np.arange(path.t_s[0], path.t_s[-1] - step_s, step_s)
+        rates = path.within(t_s, step_s)[:, ::2] / step_s
+        if not self.paths[1].headed:  # speeds of positions have the sign of the odometry's
+            ahead = other.within(t_s + (starts[1 - i] - starts[i])[0], step_s)[:, 0] if i else rates[:, 0]
+            rates[:, 0] = np.where(ahead < 0.0, -1.0, 1.0) * np.abs(rates[:, 0])
+        edges = np.append(t_s, t_s[-1] + step_s)
+
+        def sums(of: Array) -> Array:
+            whole = np.concatenate((np.zeros((1, 2)), np.cumsum(of * step_s, axis=0)))
+            return _Travel(edges, whole).within(starts[i][self.steady], self.window_s)
+
+        return rates, sums
+
+    @cached_property
+    def maps(self) -> tuple[MotionMap | None, MotionMap | None]:
+        """Maps of the truth's motions that make the odometry's, and the reverse, None where a matrix is as good."""
+        if self.steady.sum() < 5 * _FEWEST or self.sideways or (self.paths[1].headed and self.strafes):
+            return None, None
+        found = [
+            best_map(*self.rates(1 - i), motions[self.steady, ::2], signs=i == 0)
+            for i, motions in enumerate(self.windows[:2])
+        ]
+        i = int(found[1].left < found[0].left)
+        changed, one = self.changed(found[i], 1 - i), found[i]
+        rest = moving(self.windows[:2][1 - i][self.steady, 0]) & ~changed
+        clear = one.left < min(0.4, (0.5, 0.6)[int(one.alone > PLAIN)] * one.alone) and one.alone > AGREE
+        # it acts several times, and not always
+        if not clear or len(runs_of(changed)) < 3 or rest.sum() < _FEWEST:
+            return None, None
+        return (None, one) if i else (one, None)
+
+    def changed(self, one: MotionMap, i: int = 1) -> NDArray[np.bool_]:
+        """Return in which of the steady windows a map changes the motion of one of the two."""
+        rates, sums = self.rates(i)
+        before, after = sums(rates), sums(one.of(rates))
+        far = np.abs(after - before) > _CLOSE * np.percentile(np.abs(before), 80.0, axis=0)
+        return np.asarray(far.any(axis=1))
 
     @cached_property
     def seen(self) -> NDArray[np.bool_]:
@@ -423,14 +483,14 @@ class Look:
     @property
     def sideways(self) -> bool:
         """Whether the odometry drives sideways, too."""
-        return bool(np.std(self.motions[0][:, 1]) > 0.1 * np.std(self.motions[0][:, 0]))
+        return bool(np.std(self.motions[0][:, 1]) > 0.1 * np.sqrt(np.mean(self.motions[0][:, 0] ** 2)))
 
     @cached_property
     def strafes(self) -> bool:
         """Whether the truth drives sideways, beyond what a point off the centre does in turns."""
         there = self.motions[1]
-        aside = there[:, 1:2] - there[:, ::2] @ _linear(there[:, ::2], there[:, 1:2])[0].T
-        return bool(aside.std() > 0.1 * there[:, 0].std())
+        aside = there[:, 1:2] - there[:, ::2] @ linear(there[:, ::2], there[:, 1:2])[0].T
+        return bool(aside.std() > 0.1 * np.sqrt(np.mean(there[:, 0] ** 2)))
 
     def at_fault(self) -> tuple[int | None, str]:
         """Return which one turns the wrong way according to a third source, if any does, and that source."""
@@ -469,19 +529,6 @@ def _correlations(a: Array, b: Array) -> Array:
         return np.asarray(x / np.where(size > 1e-9, size, np.inf))
 
     return np.asarray(scaled(a).T @ scaled(b) / max(len(a), 1))
-
-
-def _linear(x: Array, y: Array) -> tuple[Array, float]:
-    """Return the matrix (k, k) of y = M x for motions (n, k), outliers left out, and the least part explained."""
-    used = np.ones(len(x), dtype=bool)
-    least = 0.02 * np.percentile(np.abs(y), 95.0, axis=0)
-    for _ in range(5):
-        matrix = np.linalg.lstsq(x[used], y[used], rcond=None)[0].T
-        off = np.abs(y - x @ matrix.T)
-        used = (off <= 6.0 * np.maximum(np.median(off, axis=0), least)).all(axis=1)
-    size = np.sum(y[used] ** 2, axis=0)
-    explained = 1.0 - np.sum(off[used] ** 2, axis=0) / np.maximum(size, 1e-3 * size.max() + 1e-12)
-    return np.asarray(matrix, dtype=np.float64), float(explained.min()) * float(used.mean() > _CLEAR)
 
 
 Figures: TypeAlias = dict[str, Any]
@@ -538,7 +585,7 @@ def first_look(look: Look) -> FirstLook:
     for pattern in PATTERNS:
         if pattern.name == "inverse":  # clocks are right from here on
             check_pair(*look.paths)
-        if pattern.name == "wheel gains" and look.agree:  # all others are of motions that differ
+        if pattern.name == "turned axes" and look.agree:  # all others are of motions that differ
             break
         for which in ((0,), (1,)) if pattern.alone else ((),):
             if (figures := pattern.find(look, *which)) is None:
@@ -658,23 +705,17 @@ def _steps_and_headings(look: Look, i: int) -> Figures | None:
 
 
 def _flips(look: Look, i: int) -> Figures | None:
-    """Find headings that jump by half a turn, or always by one angle, alone or with their path, unlike the other's."""
+    """Find headings that jump by half a turn, alone or with their path, unlike the other's."""
     path = look.paths[i]
     turn, step = wrap(np.diff(path.yaw_rad)), np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
     sides = np.array((np.append(turn[1:], 0.0), np.append(0.0, turn[:-1])))
     sudden = (np.abs(turn) > _ASKEW) & (np.abs(sides).max(axis=0) < 0.35)
     turn -= sudden * sides.mean(axis=0)  # the robot turns meanwhile
-    size = float(np.median(np.abs(turn[sudden]))) if sudden.any() else 0.0
-    # by half a turn, or several times by one other angle
-    size, few = (np.pi, 1) if size > np.pi - 0.35 else (size, 3)
-    alike = sudden & (np.abs(np.abs(turn) - size) < 0.35) & (step < 3.0 * np.percentile(step, 95.0))
+    alike = sudden & (np.abs(turn) > np.pi - 0.35) & (step < 3.0 * np.percentile(step, 95.0))
     jumps = np.flatnonzero(alike)
     steady = replace(path, yaw_rad=np.unwrap(path.yaw_rad))
-    steady.yaw_rad[1:] -= np.cumsum(alike * np.sign(turn) * size)
-    # what overflows does so at one value
-    values = np.abs(wrap(path.yaw_rad[jumps])), path.yaw_rad[jumps + (turn[jumps] < 0.0)]
-    at_one = max(map(_concentration, values)) > _FOLLOWS and len(jumps) > 0.8 * sudden.sum()
-    if not path.headed or look.own[i].fixed > _FOLLOWS or len(jumps) < few or not (few == 1 or at_one):
+    steady.yaw_rad[1:] -= np.cumsum(alike * np.sign(turn) * np.pi)
+    if not path.headed or look.own[i].fixed > _FOLLOWS or not len(jumps):
         return None
     if look.headed and abs(look.having(i, steady).correlations[2, 2]) < _UNCLEAR:
         return None
@@ -682,9 +723,8 @@ def _flips(look: Look, i: int) -> Figures | None:
     ends = np.clip(jumps + np.array(((-_FEWEST,), (0,), (1,), (1 + _FEWEST,))), 0, len(step))
     before, _, after = np.diff(path.xyz[ends, :2], axis=0)
     on = np.sum(before * after, axis=1) > -0.5 * np.prod(np.linalg.norm((before, after), axis=2), axis=0)
-    words = {"i": i, "count": len(jumps), "by": f"{np.degrees(size):.0f}"}
-    words["causes"] = HALF_TURNS if few == 1 else OVERFLOWS
-    if on.mean() >= 0.5 and (few == 1 or own_of(steady).agreement[0] > _FOLLOWS):
+    words = {"i": i, "count": len(jumps)}
+    if on.mean() >= 0.5:
         return words | {"how": "while its path goes on", "undo": lambda _: _ahead(look, i, steady)}
     rows = increments(path.trajectory().xyt).rows
     rows[:, 2] = np.diff(steady.yaw_rad)
@@ -709,30 +749,6 @@ def _folded(look: Look, i: int) -> Figures | None:
     far = np.percentile(off.min(axis=0), 80.0) > 2.0 * _BENT_RAD
     one_sided = np.mean(np.where(off[0] < off[1], ways[0], ways[1]) < 0.0) < _MOVING
     return None if far or follows or (look.headed and not beside) or one_sided else {"i": i}
-
-
-def _stale_headings(look: Look, i: int) -> Figures | None:
-    """Find headings that change at even times only, many messages apart."""
-    path = look.paths[i]
-    changes = np.flatnonzero(np.abs(wrap(np.diff(path.yaw_rad))) > 1e-9) + 1 if path.headed else np.zeros(0, dtype=int)
-    moves = np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1) > 0.0
-    if len(changes) < _FEWEST or np.add.reduceat(moves, changes[:-1]).mean() < _FEWEST / 2.0:
-        return None
-    usual = float(np.median(every := np.diff(path.t_s[changes])))
-    if usual < 0.5 or np.mean(np.abs(every / usual - np.rint(every / usual)) < _CLOSE) < _FOLLOWS:
-        return None
-    rows = increments(path.trajectory().xyt).rows
-    rows[:, 2] = np.diff(np.interp(path.t_s, path.t_s[changes], np.unwrap(path.yaw_rad)[changes]))
-    return {"i": i, "every": usual, "undo": lambda path: _moved_by(path, rows)}
-
-
-def _speeds_for_positions(look: Look) -> Figures | None:
-    """Find positions whose distance from zero is the truth's speed."""
-    (_, there, (starts, _)), path = look.motions, look.paths[0]
-    distance = np.interp(starts + look.window_s / 2.0, path.t_s, np.linalg.norm(path.xyz[:, :2], axis=1))
-    speed = np.hypot(there[:, 0], there[:, 1])
-    few = min(np.std(distance), np.std(speed)) < 1e-6 or look.correlations[0, 0] > _CLEAR
-    return None if few or np.corrcoef(distance, speed)[0, 1] < _FOLLOWS else {}
 
 
 def _ahead(look: Look, i: int, path: Samples) -> Samples:
@@ -766,7 +782,7 @@ def _unrelated(look: Look, i: int) -> Figures | None:
     if not i and own.turned < 1e-6 and turns:
         return None if own.straight else {"i": i, "what": "never change"}
     # headings that are right beside wheels that are exchanged make one linear function of the two motions
-    few = min(own.chords, other.chords) < 3 * _FEWEST or _linear(*look.motions[1::-1])[1] > _FOLLOWS
+    few = min(own.chords, other.chords) < 3 * _FEWEST or linear(*look.motions[1::-1])[1] > _FOLLOWS
     if few or max(own.agreement) > _CLEAR or other.agreement[0] < _FOLLOWS:
         return None
     if abs(look.correlations[2, 2]) > _UNCLEAR:
@@ -785,14 +801,7 @@ def _never_turns(look: Look) -> Figures | None:
     bent = bent and not look.scales[1].sure
     if not bent and (real <= _FEW_TURNS or not (look.own[0].straight or still)):
         return None
-    here, there = look.windows[0][:, 0], np.abs(look.windows[1])
-    spot = moving(there[:, 2]) & (there[:, 0] < _MOVING * np.percentile(there[:, 0], 80.0))
-    sides = [spot & (look.windows[1][:, 2] * side > 0.0) for side in (1, -1)]
-    ahead = [np.mean(here[side] > 0.01 * look.window_s) > 0.8 for side in sides if side.sum() >= _FEWEST / 2.0]
-    # turns on the spot to one side alone are driven ahead by one wheel, too
-    unsigned = [_NO_DIRECTION] * (all(ahead) and len(ahead) > 0)
-    on_spot = [_NO_SPOT] * int(spot.sum() > 0.8 * moving(there[:, 2]).sum() and not unsigned)
-    return {"causes": "; ".join(on_spot + [_NO_TURNS] * (len(ahead) == 1 or not unsigned) + unsigned)}
+    return {}
 
 
 def _upright(look: Look) -> Figures | None:
@@ -810,14 +819,14 @@ def _upright(look: Look) -> Figures | None:
 
 def _stretched(look: Look) -> Figures | None:
     """Find positions of the truth that are farther apart along one axis than along the other."""
-    own, real = (look.chords(i, np.arange(2.0))[0] for i in (0, 1))
+    own, real = (look.chords(i, np.array((0.0, 3.0)))[0] for i in (0, 1))  # long beside noise
     moves = moving(np.abs(own)) & moving(np.abs(real))
     course, ratio = 2.0 * np.angle(real[moves]), np.abs(own[moves] / real[moves]) ** 2
     design = np.column_stack((np.ones(len(course)), np.cos(course), np.sin(course)))
     if len(course) < 3 * _FEWEST or _concentration(course) > _CLEAR:
         return None
     # 1 / factor^2 varies as (mean - wave) / (mean + wave) with twice the course
-    mean, *waves = _linear(design, ratio[:, None])[0][0]
+    mean, *waves = linear(design, ratio[:, None])[0][0]
     wave, along = float(np.hypot(*waves)), float(np.arctan2(-waves[1], -waves[0])) / 2.0
     left, varies = (np.median(np.abs(ratio - x)) for x in (design @ [mean, *waves], np.median(ratio)))
     # what depends on the speed, too, is no factor
@@ -831,17 +840,6 @@ def _stretched(look: Look) -> Figures | None:
     xy = xy + by * axis * (xy * np.conj(axis)).real
     mended = replace(look.paths[1], xyz=np.column_stack((xy.real, xy.imag, look.paths[1].xyz[:, 2])))
     return {"i": 1, "factor": factor, "along": f"{np.degrees(along) % 180.0:.0f}", "undo": lambda _: mended}
-
-
-def _publishers(look: Look, i: int) -> Figures | None:
-    """Find poses that jump and come back within some messages all the time."""
-    xy = look.paths[i].xyz[:, :2]
-    n = len(xy) - _FEWEST
-    far = np.linalg.norm([xy[k : n + k] - xy[:n] for k in range(1, _FEWEST)], axis=2) if n > 0 else np.zeros((2, 1))
-    # ticks that come and go at rest are small
-    back = (far[1:].min(axis=0) < 0.1 * far[0]) & (far[0] > max(_ARM_M, 0.02 * np.linalg.norm(xy.std(axis=0))))
-    found = {"i": i, "share": f"{back.mean():.0%}", "few": _FEWEST}
-    return found | {"far": float(np.median(far[0][back]))} if back.mean() > 0.2 else None
 
 
 def _inverse(look: Look, i: int) -> Figures | None:
@@ -900,21 +898,6 @@ def _rate(look: Look) -> Figures | None:
     return words | {"rate": 1.0 / factor, "factor": float(factor), "undo": lambda path: stretched(path, factor)}
 
 
-def _bursts(look: Look, i: int) -> Figures | None:
-    """Find poses that are stamped in bursts, a small part of their usual interval apart, while the robot moves on."""
-    path, usual_s = look.paths[i], look.paths[i].span_s / len(look.paths[i])
-    apart_s, moved = np.diff(path.t_s), np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
-    ends = np.flatnonzero(apart_s > 2.0 * usual_s)
-    few = len(ends) < max(FEWEST, len(path) / 200.0) or np.median(apart_s) > 0.1 * usual_s
-    # where poses are missing between bursts, it moves there
-    if few or np.ptp(np.percentile(apart_s[ends], (5.0, 95.0))) > 1.0 or moved[ends].sum() > 0.5 * moved.sum():
-        return None
-    stamps = np.round(np.interp(np.arange(len(path)), ends, path.stamps_ns[ends] - path.stamps_ns[0]))
-    between = np.arange(ends[0], ends[-1] + 1)  # nothing shows when the first ones, and the last, were measured
-    undo = lambda p: p.stamped(p.stamps_ns[0] + stamps.astype(np.int64)).only(between)  # noqa: E731
-    return {"i": i, "few": round(len(path) / len(ends)), "apart": float(np.median(apart_s[ends])), "undo": undo}
-
-
 def _late(look: Look) -> Figures | None:
     """Find a clock that is seconds off; a periodic drive looks mirrored half a period later."""
     odometry, truth = (p.trajectory() for p in look.paths)
@@ -961,7 +944,7 @@ def _matrix(look: Look, axes: list[int]) -> tuple[Array, float]:
         trials = [np.column_stack((np.sign(here[:, k]) * speed, 0.0 * speed, there[:, 2])) for k in (0, 2)]
     if len(here) < _FEWEST:
         return np.eye(len(axes)), 0.0
-    matrix, explained = max((_linear(x[:, axes], here[:, axes]) for x in trials), key=lambda found: found[1])
+    matrix, explained = max((linear(x[:, axes], here[:, axes]) for x in trials), key=lambda found: found[1])
     if matrix[0, -1] * matrix[-1, 0] < 0.0 and not look.paths[1].headed:
         matrix[:, 0] *= -1.0
     own, real = (float(_correlations(x, x)[0, 2]) for x in (here, there))
@@ -986,6 +969,8 @@ def _matrix(look: Look, axes: list[int]) -> tuple[Array, float]:
 
 def _wheel_gains(look: Look) -> Figures | None:
     """Find wheels that count by unequal factors g: motions are J' diag(g) J / n times the truth's, J of `_WHEELS`."""
+    if look.agree or (look.headed and any(look.maps)):
+        return None
     axes = [0, 1, 2] if look.sideways else [0, 2]
     names, rolls = _WHEELS[2 * len(axes) - 2]
     matrix, explained = _matrix(look, axes)
@@ -1069,7 +1054,7 @@ def _aside(look: Look) -> Figures | None:
     clear = min(abs(c[1, 1]), c[0, 0], c[2, 2]) > _CLEAR and side.number >= _FEWEST and side.spread < 0.5
     if look.paths[1].headed and min(c[0, 0], c[2, 2]) > _CLEAR and not drives:
         here, there = look.windows[0] * (v.value if v.sure else 1.0, 1.0, 1.0), look.windows[1]
-        rest = (there[:, 1:2] - here[:, ::2] @ _linear(here[:, ::2], there[:, 1:2])[0].T)[:, 0]
+        rest = (there[:, 1:2] - here[:, ::2] @ linear(here[:, ::2], there[:, 1:2])[0].T)[:, 0]
         rest = np.abs(np.convolve(rest, np.ones(8) / 8.0, "same"))  # noise of a localisation does not last
         usual = np.percentile(np.abs(there[:, 0]), 80.0)
         # where headings of the truth are turned for a while, it moves sideways only as the odometry drives
@@ -1161,7 +1146,7 @@ def _counter(count: int, wheel_m: float, turn: float, increments_m: Array, rows:
     gaps = gaps[gaps > 1e-8]
     tick = float(np.median(gaps[gaps < 1.5 * gaps.min()])) if len(gaps) else np.inf
     bits = round(power := float(np.log2(max(wheel_m / tick, 1.0))))
-    cause = "a counter overflows (often of 8 or 16 bits), or is reset at stops"
+    cause = "a counter overflows (often of 8 or 16 bits), is read as unsigned, or is reset at stops"
     if bits > 7 and abs(power - bits) < 0.02:
         cause = f"a counter overflows: 2^{bits} ticks of {tick * 1e3:.3g} mm: a counter of {bits} bits"
     if _once_a_second(at_s):
@@ -1174,108 +1159,53 @@ def _once_a_second(at_s: Array) -> bool:
     return len(every_s) > 3 and bool(every_s.min() > 0.5 and np.mean(np.abs(every_s - np.rint(every_s)) < 0.1) > 0.9)
 
 
-def _one_way(look: Look, axis: int) -> Figures | None:
-    """Find motions of the truth to a side of zero on which the odometry's motion along an axis never is."""
-    here, there, _ = look.windows
-    # beside a centre of turning, a tracked point goes back in turns on the spot
-    straight = np.abs(there[:, 0]) > 0.5 * np.abs(there[:, 2]) if axis == 0 else np.ones(len(here), dtype=bool)
-    if axis == 0 and not look.paths[1].headed and np.percentile(here[:, 0], 1.0) >= 0.0:
-        # positions alone show reverse as a course that flips between chords, where the odometry's goes on
-        courses, seen = [], np.ones(len(here), dtype=bool)
-        for chords in (look.chords(i, np.arange(-1.0, 2.0)) for i in (0, 1)):
-            courses.append(np.abs(np.angle(chords[1] * np.conj(chords[0]))))
-            seen &= moving(np.abs(chords).min(axis=0))
-        own, real = (course[seen] for course in courses)
-        back = (real > 2.6) & (own < 0.5)
-        events = int(np.sum(np.diff(np.flatnonzero(back)) > 4)) + 1
-        if events > 3 and np.sum((own > 2.6) & (real > 2.6)) < 0.2 * back.sum():
-            return {"share": f"{events} places", "how": "goes on there"}
-    for side in (-1, 1) if look.paths[1].headed or axis == 2 else ():
-        real, counted = moving(there[:, axis], side) & straight, moving(here[:, axis], side)
-        if not real.any() or real.sum() < max(0.01 * len(real), 10.0 * counted.sum()):
-            continue
-        ahead = np.median(here[real, axis] / there[real, axis]) < -0.5
-        enough = real.sum() >= (_FEWEST / 2.0 if ahead else _FEWEST)
-        other = moving(there[:, axis], -side)
-        low, high = np.percentile(here[other, axis] / there[other, axis], (25.0, 75.0)) if other.any() else (0.0, 0.0)
-        if enough and 0.0 < high < 2.0 * low and np.mean(here[real, axis] * side > 0.0) < 0.1:
-            how = "drives forwards there" if ahead else "stands there"
-            return {"share": f"{real.mean():.0%}", "how": how, "side": "right" if side < 0 else "left"}
-    return None
-
-
-def _spot_turns(look: Look) -> Figures | None:
-    """Find odometry that turns as the truth does while it travels, and not at all on the spot."""
-    here, there, _ = look.windows
-    turns, travels = moving(there[:, 2]), np.abs(there[:, 0])
-    usual = np.percentile(travels, 80.0)
-    spot, bends = turns & (travels < _MOVING / 2.0 * usual), turns & (travels > 0.5 * usual)
-    parts = [np.median(here[x, 2] / there[x, 2]) if x.sum() >= _FEWEST else np.nan for x in (spot, bends)]
-    if not (look.headed and abs(parts[0]) < _MOVING / 2.0 and abs(parts[1] - 1.0) < 2.0 * _CLOSE):
+def _lost_sign(look: Look) -> Figures | None:
+    """Find motions that have another sign, or none, on one side of zero, or that are those of a steered wheel."""
+    one = look.maps[0]
+    if one is None or one.kind != "sign":
         return None
-    ahead = np.median(here[spot, 0]) > _MOVING / 2.0 * usual
-    words = {"how": "drives ahead", "causes": _NO_DIRECTION} if ahead else {"how": "does not turn", "causes": _NO_SPOT}
-    return words | {"share": f"{spot.sum() / turns.sum():.0%}"}
+    sides = ("left", "right")[:: 1 if one.matrix[1, 1] > 0.0 or one.at == 0.0 else -1]
+    rolls = one.channel in (*WHEELS, "travel", "motion")
+    turns = {"left turns": f"turns to the {sides[0]}", "right turns": f"turns to the {sides[1]}"}
+    part = turns.get(one.channel, one.channel + " in reverse" * rolls)
+    causes, change = (
+        "an unsigned yaw rate, or an angle from an arc cosine; yaw rate of the absolute speed",
+        "keep the sign",
+    )
+    if rolls:
+        causes, change = _NO_DIRECTION, "count both channels, or give speeds the sign of the command"
+    does = f"counts its {part} {'forwards' if rolls else 'the other way'}"
+    if one.channel in STEERED_WHEELS:
+        does = f"has the travel of a steered wheel, {one.arm_m:.2g} m ahead of its axle"
+        causes, change = "the cosine of the steering angle is left out", "multiply by it"
+    elif one.at == 0.0:
+        does = f"does not count its {part}"
+    return {"does": does, "causes": causes, "change": change, "share": f"{look.changed(one).mean():.0%}"}
 
 
-def _one_encoder(look: Look) -> Figures | None:
-    """Find odometry that differs from the truth by one wheel, whose way back counts as forwards or not at all."""
-    origin, at_s = int(look.paths[0].stamps_ns[0]), look.motions[2]
-    # in half a window a wheel seldom rolls both ways
-    halves = [travel_of(p, origin).within(t, look.window_s / 2.0) for p, t in zip(look.paths, at_s, strict=True)]
-    off, real = (halves[0] - halves[1])[:, ::2], halves[1][:, ::2]
-    # what one wheel counts too far is travel, and a turn by it over half of the track
-    arms = np.array((1.0, float(off[:, 0] @ off[:, 1]) / max(float(off[:, 1] @ off[:, 1]), 1e-12)))
-    back, far = moving(real @ arms, -1), np.maximum(-real @ arms, 0.0)
-    few = not look.paths[1].headed or back.sum() < _FEWEST / 2.0 or abs(arms[1]) < 1e-3
-    for how, rest in () if few else (("drives forwards", far), ("stands", far / 2.0)):
-        if np.sum((off * arms - rest[:, None]) ** 2) < (1.0 - _FOLLOWS) * np.sum((off * arms) ** 2):
-            side = "left" if arms[1] < 0.0 else "right"
-            return {"side": side, "share": f"{back.mean():.0%}", "how": f"{how} there"}
-    return None
-
-
-def _in_reverse(look: Look) -> Figures | None:
-    """Find travel or turns of another factor, or sign, in reverse than ahead."""
-    pairs = [[look.ratio(axis, side, 0) for side in (1, -1)] for axis in (0, 2)]
-    v, w = (back.value / (ahead.value or 1.0) for ahead, back in pairs)
-    few = min(one.number for pair in pairs for one in pair) < _FEWEST or look.one_sided(0)
-    counted = max(one.spread for one in pairs[0]) < 2.0 * _ALIKE and (0.0 < v < 1.0 / _WRONG or v > _WRONG)
-    if few or not (counted or max(abs(v - 1.0), abs(w + 1.0)) < _CLOSE):
+def _threshold(look: Look, kind: str) -> Figures | None:
+    """Find a limit or a dead zone of one of the two, where the other one moves."""
+    i, one = next(((i, one) for i, one in enumerate(look.maps) if one is not None and one.kind == kind), (0, None))
+    if one is None:
         return None
-    rows = (whole := increments(look.paths[0].trajectory().xyt).rows) * np.where(whole[:, :1] < 0.0, (v, v, w), 1.0)
-    return {"v": v, "w": w, "undo": lambda path: _moved_by(path, rows)}
-
-
-def _limit(look: Look) -> Figures | None:
-    """Find odometry at its largest speed, yaw rate or curvature where the truth has a larger one; or the reverse."""
-    pair = [np.abs(x) + 1e-9 for x in look.windows[:2]]
-    own, real = (x[moving(look.windows[0][:, 0])] for x in pair)
-    speeds = [x[:, 0] / look.window_s for x in (own, real)]
-    rates = [x[moving(look.windows[0][:, 2]), 2] / look.window_s for x in pair]
-    bends = [x[:, 2] / x[:, 0] for x in (own, real)]
-    does_at_most = ("travels {:.3g} m/s", "travels {:.3g} m/s", "turns {:.3g} rad/s", "turns {:.3g} rad per m")
-    for does, (here, there) in zip(does_at_most, (speeds, speeds[::-1], rates, bends), strict=True):
-        noise = 0.1 if here is speeds[1] else 0.03  # of the truth
-        top = float(np.percentile(here, 100.0 - 70.0 * noise)) if len(here) else 0.0
-        at = here > (1.0 - noise) * top
-        below = ~at & (here > _MOVING * top)
-        if below.sum() < _FEWEST or at.mean() < _MOVING / 2.0 or sum(own[:, 0]) < _FEWEST * _ARM_M:
-            continue
-        # in bends the outer wheel may be at its limit
-        far, usual = np.percentile((there / here)[at], (10, 50, 90)), float(np.percentile((there / here)[below], 25.0))
-        agrees = abs(usual - 1.0) < _CLOSE
-        if here is bends[0] or (here is rates[0] and not agrees):  # windows with fewer turns have parts at the limit
-            agrees, usual = bool(1.5 * far[0] < far[2] < 10.0), 1.0
-        # a robot that follows its commands reaches its limit at times
-        agrees = agrees and not (here is speeds[1] and at.mean() < _UNCLEAR)
-        beyond = far[0] > usual + 0.05 or ("travels" in does and far[2] > 1.5 * usual * far[0])
-        if agrees and beyond and far[1] > max(usual, 1.0) + _CLOSE:
-            names = [look.paths[0].place, "the truth", *SATURATES]
-            names = names if here is not speeds[1] else [*names[1::-1], *COMMANDS]
-            words = dict(zip(("one", "beside", "cause", "change"), names, strict=True)) | {"far": float(far[1])}
-            return words | {"does": does.format(top), "verb": does.split()[0], "share": f"{at.mean():.0%}"}
-    return None
+    at = (
+        one.at
+        * one.matrix[k := int(one.channel in ("turns", "curvature")), k]
+        / one.matrix[0, 0] ** (one.channel == "curvature")
+    )
+    unit = "rad/s" if one.channel == "turns" else "rad per m" if one.channel == "curvature" else "m/s"
+    limited, beside = (look.paths[0].place, "the truth")[:: 1 - 2 * i]
+    words: Figures = dict(zip(("causes", "change"), (THRESHOLDS if i == 0 else COMMANDS)[kind], strict=True))
+    words |= {"one": limited, "beside": beside, "what": QUANTITIES[one.channel], "at": f"{abs(at):.3g} {unit}"}
+    words |= {"share": f"{look.changed(one, 1 - i).mean():.0%}"}
+    if kind == "dead zone":
+        words |= {"undo": lambda path: path, "then": "the study goes on with the rest"}
+        if one.channel == "turns on the spot":
+            words |= {"causes": _NO_SPOT, "change": "integrate the yaw rate at any speed"}
+        if one.channel == "turns" and i == 0:
+            words |= {"dead_band_radps": at, "then": "it is part of the model"}
+            return None if _slow_turns(look) is not None else words
+    return words
 
 
 def _whole_steps(look: Look) -> Figures | None:
@@ -1320,25 +1250,6 @@ def _whole_steps(look: Look) -> Figures | None:
     return words | {"undo": lambda path: _moved_by(path, mended)}
 
 
-def _whole_turns(look: Look) -> Figures | None:
-    """Find turns that are multiples of a step, and by half of which the truth turns farther than they say."""
-    path, (here, there, (starts, _)) = look.paths[0], look.windows
-    rows = increments(path.trajectory().xyt).rows
-    step, used = step_of(rows[:, 2]) or 0.0, moving(there[:, 2])
-    few = used.sum() < 3 * _FEWEST or look.sizes[1][:2].min() < _FEW_TURNS
-    if not look.headed or few or step <= 0.1 * np.percentile(np.abs(rows[:, 2]), 90.0):
-        return None
-    halves = step / 2.0 * np.sign(rows[:, 2:])
-    counted = _Travel(path.t_s, np.concatenate((np.zeros((1, 1)), np.cumsum(halves, axis=0)))).within(
-        starts, look.window_s
-    )
-    lost = np.linalg.lstsq(np.hstack((counted, here[:, 2:]))[used], (there - here)[used, 2], rcond=None)[0][0]
-    if abs(lost - 1.0) > 2.0 * _CLOSE:
-        return None
-    words = {"steps": f"turns are whole steps of {np.degrees(step):.3g} deg", "lost": f"turns {lost:.2f}"}
-    return words | {"undo": lambda path: _moved_by(path, rows + halves * (0.0, 0.0, 1.0))}
-
-
 def _slow_turns(look: Look) -> Figures | None:
     """Find odometry that reports no turns below a rate, though the truth turns: a dead band.
 
@@ -1368,31 +1279,16 @@ def _slow_turns(look: Look) -> Figures | None:
     return {"rate": float(np.degrees(rate)), "dead_band_radps": rate, "undo": lambda path: path}
 
 
-def _whole_positions(look: Look, i: int) -> Figures | None:
-    """Find positions that are multiples of a step which is not small beside the travel between messages."""
-    path, xy = look.paths[i], look.paths[i].xyz[:, :2]
-    high = max(steps := [step_of(x - x[0]) or 0.0 for x in xy.T])
-    # usual travel between messages, of some seconds, so that a step is a small part of it
-    every = min(max(int(4.0 * len(path) / path.span_s), 1), len(path) // 2)
-    far = float(np.percentile(np.linalg.norm(xy[every:] - xy[:-every], axis=1), 90.0)) / every
-    if not high > 0.2 * far > 0.0:
-        return None
-    count = np.abs(np.rint(np.diff(xy, axis=0) / high)) * (np.array(steps) > 0.0)
-    # a drive along the axes at one speed has steps of one length, one after the other
-    moves = np.any(count > 0.0, axis=1)
-    if len(np.unique(count)) < 3 and np.mean(np.diff(moves)[moves[1:] | moves[:-1]]) < 0.5:
-        return None
-    few = int(10.0 * high / far) + 1
-    undo = {"undo": lambda p: p.only(np.arange(0, len(p), few))} if len(path) > 2 * FEWEST * few else {}
-    return {"i": i, "few": few, "step": f"{1e3 * high:.3g} mm", "far": 1e3 * far, **undo}
-
-
 def _resets(look: Look, i: int) -> Figures | None:
     """Find lasting jumps of odometry, beyond which it goes on from another pose."""
     path = look.paths[0]
     rows = stretches(path, reach_of(path, path)).rows if i == 0 and len(path) >= FEWEST else ()
     far = {int(own[0]): float(np.linalg.norm(path.xyz[own[0]] - path.xyz[own[0] - 1])) for own in rows[1:]}
-    jumps = {k: metres for k, metres in far.items() if metres > 3.0 * _ARM_M}
+    # where nothing is recorded meanwhile, a robot may have gone as far, but not to where it began
+    gone = np.linalg.norm(path.xyz[:, :2] - path.xyz[0, :2], axis=1)
+    back = (gone[1:] < _ARM_M) & (gone[:-1] > 10.0 * _ARM_M) & (np.diff(path.t_s) > 0.5)
+    far |= {int(k): float(gone[k - 1]) for k in np.flatnonzero(back) + 1 if i == 0}
+    jumps = {k: metres for k, metres in sorted(far.items()) if metres > 3.0 * _ARM_M}
     where = ", ".join(f"{metres:.2f} m at {path.t_s[k]:.0f} s" for k, metres in jumps.items())
     causes = ["the node or the board was restarted; a counter was reset", "counts or speeds are read as unsigned"]
     alike = len(jumps) > 1 and max(jumps.values()) < (1.0 + _ALIKE / 2.0) * min(jumps.values())
@@ -1400,25 +1296,31 @@ def _resets(look: Look, i: int) -> Figures | None:
     return {"where": where, "causes": said, "undo": lambda path: path} if 0 < len(jumps) <= _FEWEST else None
 
 
-def _repeated(look: Look) -> Figures | None:
-    """Find odometry that repeats a pose while the truth moves, and then jumps to where its path goes on."""
-    path, truth = look.paths
-    origin = int(path.stamps_ns[0])
-    t_s, step = path.t_s, np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
-    speed = step / np.diff(t_s)
-    runs = np.array(runs_of(step == 0.0), dtype=np.int64).reshape(-1, 2)
-    first, last = runs[(np.diff(runs)[:, 0] > 2) & (runs[:, 1] < len(step))].T
-    jumps = speed[last] > 3.0 * np.percentile(speed, 95.0)
-    first, last = first[jumps], last[jumps]
-    real = [np.interp(t_s[[first, last + 1]], truth.seconds_since(origin), x) for x in truth.xyz[:, :2].T]
-    far = np.hypot(*np.diff(real, axis=1)[:, 0])
-    if not len(far) or np.median(far / step[last]) < 0.5 or (t_s[last] - t_s[first]).max() < 0.5:
+def _lost_in_gaps(look: Look) -> Figures | None:
+    """Find odometry whose steps over gaps in its stamps are as long as those beside them."""
+    path = look.paths[0]
+    rows, dt_s = increments(path.trajectory().xyt).rows, np.diff(path.t_s)
+    every_s, size = max(float(np.median(dt_s)), path.span_s / len(path) / 2.0), np.abs(rows[:, 0])
+    gaps = np.flatnonzero(dt_s[1:-1] > 1.7 * every_s) + 1
+    beside = (size[gaps - 1] / dt_s[gaps - 1] + size[gaps + 1] / dt_s[gaps + 1]) / 2.0
+    used = np.minimum(size[gaps - 1], size[gaps + 1]) > _MOVING * np.percentile(size, 95.0)
+    gaps, expected = gaps[used], (beside * dt_s[gaps])[used]
+    if len(gaps) < _FEWEST or np.median(size[gaps] / expected) > 1.5 * np.median(every_s / dt_s[gaps]):
         return None
-    kept = np.ones(len(path), dtype=bool)
-    for a, b in zip(first, last, strict=True):
-        kept[a + 1 : b + 1] = False
-    longest = f"{(t_s[last] - t_s[first]).max():.1f}"
-    return {"count": len(first), "longest": longest, "undo": lambda path: path.only(kept)}
+    rows[gaps] *= (dt_s[gaps] / every_s)[:, None]
+    words = {"count": len(gaps), "lost": f"{dt_s[gaps].sum() - every_s * len(gaps):.0f}"}
+    return words | {"undo": lambda path: _moved_by(path, rows)}
+
+
+def _clamped(look: Look, i: int) -> Figures | None:
+    """Find headings that stay at half a turn, or a whole one, while the other trajectory turns."""
+    path, (here, there, (starts, _)) = look.paths[i], look.motions
+    if not look.headed or i:
+        return None
+    at = np.abs(np.abs(path.yaw_rad)[:, None] / np.pi - (1.0, 2.0)).min(axis=1) < 1e-6
+    stays = np.interp(starts + look.window_s / 2.0, path.t_s, at) > 0.9
+    lost = stays & (np.abs(here[:, 2]) < 1e-6) & moving(there[:, 2])
+    return {"share": f"{lost.sum() / moving(there[:, 2]).sum():.0%}"} if lost.sum() >= _FEWEST else None
 
 
 def _stands(look: Look, i: int) -> Figures | None:
@@ -1455,21 +1357,10 @@ def _other_way_round(look: Look) -> Figures | None:
     return {"count": count, "undo": _without(look, 0, lost)}
 
 
-def _turns_at_rest(look: Look) -> Figures | None:
-    """Find odometry that turns at one rate while the truth stands."""
-    here, there, _ = look.motions
-    rest = (np.abs(there) < 0.02 * np.percentile(np.abs(there), 95.0, axis=0).max(initial=1e-9)).all(axis=1)
-    turned = here[rest, 2] / look.window_s
-    rate = float(np.median(turned)) if rest.sum() >= _FEWEST else 0.0
-    if not look.headed or abs(rate) < _PLAIN_RADPS or np.percentile(np.abs(turned - rate), 80.0) > _CLOSE * abs(rate):
-        return None
-    rows = increments(look.paths[0].trajectory().xyt).rows
-    rows[:, 2] -= rate * np.diff(look.paths[0].t_s)
-    return {"rate": float(np.degrees(rate)), "undo": lambda path: _moved_by(path, rows)}
-
-
 def _one_curvature(look: Look) -> Figures | None:
     """Find odometry that keeps one curvature for long, as of a dead gyro or wheel, while the truth turns otherwise."""
+    if any(look.maps):
+        return None
     _, there, (starts, _) = look.motions
     path = travel_of(look.paths[0], int(look.paths[0].stamps_ns[0]))
     v = look.scales[0].value if look.scales[0].sure else 1.0
@@ -1543,22 +1434,6 @@ def _turns_too_far(look: Look) -> Figures | None:
     return {"most": np.degrees(most), "usual": np.degrees(usual), "causes": said}
 
 
-def _turns_otherwise(look: Look) -> Figures | None:
-    """Find odometry whose travel is the truth's and whose turns are not."""
-    corr = float(look.correlations[2, 2])
-    few = look.sizes[1][:2].min() < _FEW_TURNS or moving(look.windows[1][:, 0]).sum() < 5 * _FEWEST
-    even = look.scales[0].spread < (2.0 if look.paths[1].headed else 4.0) * _ALIKE
-    return None if few or abs(corr) > _UNCLEAR or corr == 0.0 or not even else {"corr": corr}
-
-
-def _travels_otherwise(look: Look) -> Figures | None:
-    """Find odometry whose travel has nothing to do with the truth's."""
-    corr, (own, real) = float(look.correlations[0, 0]), (np.hypot(*x[:, :2].T) for x in look.windows[:2])
-    drives = look.headed and moving(real).sum() >= 5 * _FEWEST and look.sizes[1][:2].min() > _FEW_TURNS
-    unlike = 0.0 < np.abs(look.correlations[:2, :2]).max() < _UNCLEAR  # all are 0 on the spot
-    return {"corr": corr} if drives and unlike and np.median(np.abs(own - real)) > 2.0 * _CLOSE * real.mean() else None
-
-
 def _unit_of_lengths(look: Look) -> Figures | None:
     """Find lengths in another unit than metres: one moves so fast as no robot does, the other so many times slower."""
     (k, *_), speeds = look.scales[0], look.speeds_mps
@@ -1589,7 +1464,7 @@ def _ratios(look: Look, travel: bool, turn: bool, *, alike: bool = False) -> Fig
     gains = v.value if travel else 1.0, v.value if alike else w.value if turn else 1.0
     if turn and abs(left.value - right.value) > 0.5 * w.value and look.paths[1].headed:
         # turns that differ by a part of the travel, as by a steering's zero, are no factor
-        part, explained = _linear(look.windows[0][:, ::2], look.windows[1][:, 2:])
+        part, explained = linear(look.windows[0][:, ::2], look.windows[1][:, 2:])
         if explained > _FOLLOWS and abs(np.log(max(part[0, 1], 1e-3))) < np.log(_WRONG):
             return None
     beside = ", left and right alike" if left.sure and right.sure else ""
@@ -1616,59 +1491,50 @@ def _hint(factor: float, causes: dict[float, str]) -> str:
     return f" ({nearest})" if off < 1.5 * _ALIKE else ""
 
 
+_STAMPS = (REPEATED, NO_STAMPS, SHARED, BACKWARDS)
 _RECORD = "mend it and record again"
 _UNDONE = "this is undone in the odometry, and not in the model"
 _NO_DIRECTION = "encoders without direction (one channel, or a counter that cannot count down); unsigned speeds"
-SATURATES = (
-    "ticks lost above a speed; a counter, a message or a steering angle's sensor that saturates",
-    "count by hardware, or with fewer ticks; a wider type or range",
-)
-COMMANDS = (
-    "odometry of commands, which the robot does not follow beyond this speed; wheels that spin",
-    "count the wheels",
-)
-HALF_TURNS = (
-    "an arc cosine or tangent of one argument; an angle modulo 180 deg, or 180 for 360 at its wrap; markers that a "
-    "tracker confuses; the frame of a wheel, which rolls"
-)
-OVERFLOWS = "a heading of several turns that overflows, as 1/100 deg in 16 bits; a wrap at another angle than 360 deg"
+QUANTITIES = {
+    "travel": "speeds", "turns": "yaw rates", "curvature": "turns per metre", "turns on the spot": "turns at speeds",
+} | {wheel: f"speeds of its {wheel}" for wheel in WHEELS}  # fmt: skip
+THRESHOLDS = {
+    "limit": (
+        "ticks lost above a speed; a counter, message or sensor (gyro, steering) that saturates; curvature times speed",
+        "count by hardware, or with fewer ticks; a wider type or range",
+    ),
+    "dead zone": (
+        "a threshold of slow wheels, a gyro or a steering angle; values cut to integers; speeds by the time of ticks",
+        "leave the threshold out, or apply it at rest",
+    ),
+}
+COMMANDS = {
+    "limit": ("odometry of commands, which the robot does not follow beyond this speed; wheels that spin",
+              "count the wheels"),
+    "dead zone": ("odometry of commands, which the robot does not follow below this speed", "count the wheels"),
+}  # fmt: skip
 _NO_SPOT = "a yaw rate by curvature times speed, or headings that are integrated above a speed alone"
-_NO_TURNS = "a steering angle or yaw rate that stays 0 or is of another axis; one counter read for both wheels"
-_SIGNED = "count both channels, or give speeds the sign of the command; " + _RECORD
 _KEPT = "the model has the factor, and is of this odometry as it is"
 
 # fmt: off
 PATTERNS = (
-    Pattern("stamps", "{note}", "stamps in whole seconds, or one for all poses of a loop; never filled in; a column of "
-            "another unit", "stamp each pose when measured, in seconds and nanoseconds; name a column t_ms or t_us",
-            "they are used",
+    Pattern("stamps", "{note}", "stamps in whole seconds, or one for all poses of a loop; nanoseconds without their "
+            "leading zeros; never filled in; a column of another unit",
+            "stamp each pose when measured, in seconds and nanoseconds; name a column t_ms or t_us", "they are used",
             lambda look, i: next(({"i": i, "note": one, "undo": lambda path: path} for one in look.paths[i].notes
-                                  if one.endswith((REPEATED, NO_STAMPS)) or (READ_AS in one and READ_AS not in
-                                                                "".join(look.paths[1 - i].notes))), None), alone=True),
-    Pattern("bursts", "{who}: its stamps come in bursts of {few} poses {apart} s apart, between which it moves on",
-            "stamped on arrival behind a buffer or a radio link", "stamp each pose when measured",
-            "its poses are spread evenly between bursts", _bursts, alone=True),
+                                  if one.endswith(_STAMPS) or (READ_AS in one and READ_AS not in
+                                                               "".join(look.paths[1 - i].notes))), None), alone=True),
     Pattern("clock rate",
             "{who}: its clock advances {rate} s in a second of {other}'s{doubt} (stretched, motions correlate by "
             "{best})", "stamps in another unit, or counted at another rate; a simulation slower than its clock; a "
             "queue that grows, read slower than it is filled",
             "give stamps of one clock in seconds", "its stamps are multiplied by {factor}", _rate),
-    Pattern("whole positions", "{who}: its positions are whole multiples of {step}, and it travels {far} mm at most "
-            "between messages", "integers, few digits, or large coordinates in single precision",
-            "publish positions as they are computed, about an origin nearby",
-            "one pose of {few} is used", _whole_positions, alone=True),
-    Pattern("repeated poses",
-            "{who} repeats its last pose for up to {longest} s while {other} moves, and then jumps ({count} times)",
-            "a driver that is late or stalls, and publishes its last pose again", "publish each pose once",
-            "the repeated poses are left out", _repeated),
+    Pattern("gaps", "{who} lacks its motion in {count} gaps between its stamps, {lost} s in all",
+            "messages of increments since the last one, of which some are lost", "send counts or poses, not increments",
+            "its steps there are as fast as those beside them", _lost_in_gaps),
     Pattern("inverse", "{who}: the inverses of its poses, not these, move as {other} does",
             "the fixed frame in the moving one is published (base -> odom, map in camera)",
             "invert the transform before publishing", "its poses are inverted", _inverse, alone=True),
-    Pattern("speeds for positions", "{who}: its positions are speeds or steps: their size is {other}'s speed",
-            "the sum over time is left out", "publish the sum, or make poses of its twists with `odomcorrupt "
-            "integrate`", "", _speeds_for_positions),
-    Pattern("publishers", "{who}: {share} of its poses jump by {far} m and back within {few} messages",
-            "several robots or publishers on one topic", "give each its own topic", "", _publishers, alone=True),
     Pattern("overflow", "{who}: {count} jumps of the same size, {size} of one wheel",
             "{cause}", "subtract counts as signed integers of the counter's width, and stamps as whole numbers",
             "the jumps are taken out", _overflows, alone=True),
@@ -1686,15 +1552,10 @@ PATTERNS = (
     Pattern("folded headings", "{who}: its headings stay within half a turn, its path goes to both sides of it",
             "an arc cosine, by which the sign of an angle is lost", "take atan2 of both components; " + _RECORD, "",
             _folded, alone=True),
-    Pattern("stale headings", "{who}: its headings change every {every} s, and stay between messages meanwhile",
-            "a compass, or another source of headings, that is slower than the odometry, and late",
-            "turn by wheels or a gyro meanwhile", "headings are interpolated", _stale_headings, alone=True),
-    Pattern("flips", "{who}: its headings jump by {by} deg {how} ({count} times)", "{causes}",
-            "take atan2 of both components, and a wider type; make markers asymmetric", "the jumps are undone", _flips,
-            alone=True),
-    Pattern("Euler steps", "{who}: each step goes along its heading at the step's {at}, and turns by up to {most} deg",
-            "x += v cos(yaw) dt at a low rate", "use yaw halfway, or integrate at the rate of the wheels",
-            "steps are taken as arcs, and not in the model", _euler, alone=True),
+    Pattern("flips", "{who}: its headings jump by 180 deg {how} ({count} times)",
+            "an arc cosine or tangent of one argument; an angle modulo 180 deg, or 180 for 360 at its wrap; a course "
+            "over ground; markers that a tracker confuses; the frame of a wheel, which rolls",
+            "take atan2 of both components; make markers asymmetric", "the jumps are undone", _flips, alone=True),
     Pattern("plane", "{who}: moves in its {plane} plane, not in x-y: {up} points up there",
             "axes of a camera or of a game", "turn it so that z points up",
             "turned so; its positions alone are used", _upright),
@@ -1702,13 +1563,17 @@ PATTERNS = (
             "degrees of longitude taken as long as those of latitude, without its cosine; pixels that are not square",
             "convert each axis to metres", "its positions are mended", _stretched),
     Pattern("headings of the truth", "{who}: its headings do not follow its own path: they {what}",
-            "its attitude turns about another axis (y up); orientation not estimated; another body",
+            "its attitude turns about another axis (y up); an arc sine or cosine; orientation not estimated; another "
+            "body",
             "publish yaw about z", "its positions alone are used", lambda look: _unrelated(look, 1)),
     Pattern("headings of the odometry", "{who}: its headings do not follow its own path: they {what}",
             "orientation never filled in, or filled from another source than the position", _RECORD, "",
             lambda look: _unrelated(look, 0)),
-    Pattern("never turns", "{who} never turns, {other} does",
-            "{causes}", _RECORD, "", _never_turns),
+    Pattern("never turns", "{who} never turns, {other} does", "a steering angle or yaw rate that stays 0 or is of "
+            "another axis; one counter read for both wheels, or without direction where it turns on the spot alone",
+            _RECORD, "", _never_turns),
+    Pattern("clamped headings", "{who}: its headings stay at a half or whole turn in {share} of {other}'s turns",
+            "an angle that is clamped to its range", "wrap it; " + _RECORD, "", _clamped, alone=True),
     Pattern("late clock",
             "{who}: its clock is {off} s {side} the odometry's (motions correlate by {best} there, by {near} as they "
             "are)", "clocks that are not synchronised; one of the files began later", "give --truth-shift {shift}", "",
@@ -1719,17 +1584,13 @@ PATTERNS = (
     Pattern("other way round", "{who} turns the other way round, by 360 deg in all, {count} times",
             "angles are averaged or filtered across +-180 deg", "wrap differences of angles before filtering them",
             "these stretches are left out", _other_way_round),
-    Pattern("turns at rest", "{who} turns by {rate} deg/s while {other} stands",
-            "a gyro that was not zeroed, or zeroed while the robot turned", "zero it at rest", _UNDONE, _turns_at_rest),
+    Pattern("Euler steps", "{who}: each step goes along its heading at the step's {at}, and turns by up to {most} deg",
+            "x += v cos(yaw) dt at a low rate", "use yaw halfway, or integrate at the rate of the wheels",
+            "steps are taken as arcs, and not in the model", _euler, alone=True),
     Pattern("stands still", "{who} stands still for {lost} s while {other} moves ({share} of its motion)",
             "a driver that lost its wheels, or a tracker its target, and repeats a message; wheels "
             "that spin, or odometry of commands, while the robot is blocked", _RECORD,
             "these stretches are left out", lambda look: _stands(look, 0) or _stands(look, 1)),
-    Pattern("one encoder", "{who}'s {side} wheel never drives in reverse, the truth's does in {share} of its time; it "
-            "{how}", _NO_DIRECTION, _SIGNED, "", _one_encoder),
-    Pattern("one heading", "{who} {does} {when} while it travels and {other} turns otherwise",
-            "a gyro, or that wheel's encoder, that died (cable, topic); a steering angle or yaw rate that stays; "
-            "orientation no longer filled in; a clamped angle", _RECORD, "this stretch is left out", _one_curvature),
     Pattern("turns too far",
             "{who} turns by {most} deg and more between messages, {other} by {usual}: beyond 180 deg turns are lost",
             "{causes}", "give lengths in metres and angles in radians; " + _RECORD, "", _turns_too_far),
@@ -1737,17 +1598,21 @@ PATTERNS = (
             "steps farther each time", "integers in a loop or a protocol, cut off",
             "keep the remainder for the next cycle, or take floating point",
             "half a step is added each time, and not in the model",
-            lambda look: _whole_steps(look) or _whole_turns(look)),
+            _whole_steps),
+    Pattern("wheel gains", "{who} moves as with wheels {each} (this explains {explained})",
+            "{cause}", "{change}", "{then}", _wheel_gains),
+    Pattern("sign", "{who} {does} ({share} of the truth's motion)", "{causes}", "{change}; " + _RECORD, "", _lost_sign),
+    Pattern("limit", "{one} has {what} of at most {at}; {beside} has larger ones in {share} of its motion", "{causes}",
+            "{change}; " + _RECORD, "", lambda look: _threshold(look, "limit")),
+    Pattern("dead zone", "{one} has no {what} below {at}; {beside} has, in {share} of its motion", "{causes}",
+            "{change}; " + _RECORD, "{then}", lambda look: _threshold(look, "dead zone")),
+    Pattern("one heading", "{who} {does} {when} while it travels and {other} turns otherwise",
+            "a gyro, or that wheel's encoder, that died (cable, topic); a steering angle or yaw rate that stays; "
+            "orientation no longer filled in; a clamped angle", _RECORD, "this stretch is left out", _one_curvature),
     Pattern("slow turns", "{who} reports no turns slower than {rate} deg/s, {other} turns then, too",
             "a dead band against the noise of a gyro or of increments; speeds cut to whole steps",
             "leave it out, or apply it at rest alone", "it is part of the model",
             _slow_turns),
-    Pattern("limit", "{one} {does} at most, in {share} of its motion; {beside} {verb} {far} times as far then",
-            "{cause}", "{change}; " + _RECORD, "", _limit),
-    Pattern("wheel gains", "{who} moves as with wheels {each} (this explains {explained})",
-            "{cause}", "{change}", "{then}", _wheel_gains),
-    Pattern("in reverse", "{who}: in reverse {other} travels {v} and turns {w} times as far as it, relative to ahead",
-            "yaw rate of the absolute speed; other edges are counted", "give speeds a sign", _UNDONE, _in_reverse),
     Pattern("turned axes", "{who} drives {angle} deg to the {side} of where {other} drives",
             "a base or a marker turned by this angle; x and y exchanged, or wheels of an omni drive in another order",
             "turn its frame by this angle", "turned back", _turned_axes),
@@ -1761,23 +1626,6 @@ PATTERNS = (
     Pattern("left and right exchanged", "odometry and truth turn opposite ways (correlation {corr}): {fault}",
             "left and right wheels or encoders exchanged; an axis of the truth mirrored, or compass headings",
             "exchange left and right, or flip the axis", "{who} is mirrored", _exchanged),
-    Pattern("never reverses", "{who} never drives in reverse, the truth does in {share} of its time; it {how}",
-            _NO_DIRECTION, _SIGNED, "", lambda look: _one_way(look, 0)),
-    Pattern("never turns one way", "{who} never turns {side}, the truth does in {share} of its time",
-            "an unsigned yaw rate, or an angle from an arc cosine", "keep the sign; " + _RECORD, "",
-            lambda look: _one_way(look, 2)),
-    Pattern("turns on the spot",
-            "{who} {how} where {other} turns on the spot ({share} of the turns); in bends they agree", "{causes}",
-            "integrate the yaw rate at any speed; count both channels; " + _RECORD, "", _spot_turns),
-    Pattern("turns otherwise",
-            "{who} travels as the truth does, but its turns do not follow the truth's (correlation {corr})",
-            "degrees given to a tangent or sine; a compass beside iron; a dead zone of slow wheels or turns; the angle "
-            "of another joint or axis; a truth of a point far from the axle, without headings", _RECORD, "",
-            _turns_otherwise),
-    Pattern("travels otherwise", "{who}: its travel does not follow the truth's (correlation {corr})",
-            "counts that overflow all the time (8 or 16 bits); totals that are added as increments; beside turns "
-            "by a gyro that agree, a wheel that counts the wrong way; another robot",
-            "subtract counts as signed integers of the counter's width; " + _RECORD, "", _travels_otherwise),
     Pattern("sideways", "{who} {how} {other}; forwards they agree",
             "two wheels are exchanged; the sideways part of the kinematics has another sign or factor, or is left out",
             "mend the sideways part", _UNDONE, _aside),

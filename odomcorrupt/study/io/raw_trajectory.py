@@ -150,6 +150,8 @@ _NEIGHBOURS = 5
 READ_AS = "stamps read as"
 NO_STAMPS = "no stamps in the messages, log times taken"
 REPEATED = "have the stamp of the one before, while it moves: log times are taken"
+SHARED, BACKWARDS = "share the stamp of another one, and are left out", "go back, and are sorted"
+"""Stamps that are wrong as a rule: of most poses, and of one in a hundred."""
 FAR_M = 1e9
 """Larger positions (metres) and headings (radians) count as invalid."""
 
@@ -185,9 +187,11 @@ def order_of(stamps_ns: NDArray[np.int64], log_ns: NDArray[np.int64]) -> Order:
     unique, index = np.unique(stamps, return_index=True)
     rows = rows[index]
     if swapped:
-        notes.append(f"{swapped} stamps out of order sorted")
-    if len(stamps) > len(unique):
-        notes.append(f"{len(stamps) - len(unique)} poses with duplicate stamps left out")
+        many = swapped > len(stamps) / 100.0
+        notes.append(f"{swapped} of its stamps {BACKWARDS}" if many else f"{swapped} stamps out of order sorted")
+    if again := len(stamps) - len(unique):
+        many = again > len(stamps) / 2.0
+        notes.append(f"{again} of its poses {SHARED}" if many else f"{again} poses with duplicate stamps left out")
     ahead = np.flatnonzero(np.diff(unique) > _FORWARD_NS) + 1
     if len(ahead):
         kept = max(np.split(np.arange(len(unique)), ahead), key=len)

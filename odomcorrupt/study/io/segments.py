@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 GAP_S = 0.5  # s; shortest gap of the odometry
 GAP_STEPS = 5.0  # shortest gap in median intervals; both have to be exceeded
-_RESTART_S = 2.0  # s; shortest gap across which the motions of odometry and truth are compared
+_RESTART_S = 1.0  # s; shortest gap across which the motions of odometry and truth are compared
 _APART_M, _APART, _APART_RAD = 0.5, 0.2, 0.5
 """Difference of the displacements across a gap, m and as a part of the larger one, or of the turns, rad, that shows
 that the odometry was not integrated there: more than wrong wheels and late stamps cause."""

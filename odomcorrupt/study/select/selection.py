@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -50,10 +50,9 @@ from odomcorrupt.study.select.random_effects import (
 from odomcorrupt.study.select.result import Learned, Step
 from odomcorrupt.study.select.shape_search import ShapeSearch
 from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
-from odomcorrupt.study.work import Work
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -63,6 +62,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.candidates import Candidate
 
+Watch: TypeAlias = "Callable[[str, float], None]"
+"""Called before each stage of a study with its name and the fraction of the work done."""
 _ROUNDS, _TRIES = 8, 5
 """Largest number of rounds, and of sets that are refitted in a round."""
 _TRUST = 0.8
@@ -71,20 +72,34 @@ _SPANS_S = (10.0, 60.0)
 """Times over which a term has a size: the error of a heading shows late, above all of a slow robot."""
 
 
+def stages(watch: Watch | None = None) -> Callable[[str], None]:
+    """Return the function that reports the start of a stage; the fraction done never falls, and never reaches one."""
+    left = 1.0
+
+    def begin(stage: str) -> None:
+        nonlocal left
+        if watch is not None:
+            watch(stage, 1.0 - left)
+        left *= 0.85  # the number of stages to come is unknown
+
+    return begin
+
+
 def learn(
     recordings: Sequence[Recording],
     start: Sequence[Effect] = (),
     *,
     law_name: str = "diffusion",
     decisions: Decisions = DECISIONS,
-    work: Work | None = None,
+    begin: Callable[[str], None] | None = None,
 ) -> Learned:
     """Return the model selected from recordings of one robot, beginning with the given effects.
 
     start : effects that are in the model from the beginning and are not dropped
     law_name : the noise law, see `odomcorrupt.model.noise_laws`
     """
-    (work := work or Work()).begin("clocks")
+    begin = begin or stages()
+    begin("clocks")
     start = (*start, *mounting_of(recordings, start))
     as_given, encoders = recordings, encoder_effects(recordings[0])
     recordings = [restore_lost(recording, encoders) for recording in recordings]
@@ -109,7 +124,7 @@ def learn(
         random=[e for e in start if e.name in CORRELATED_NOISE],
     )
     noise = [DetectedRandomEffect(e, decisions.counted_nats) for e in encoders]
-    selection = _Selection(first, {e.name for e in start}, choice, decisions, work, noise)
+    selection = _Selection(first, {e.name for e in start}, choice, decisions, begin, noise)
     if not is_exact(ten_second_error(first), first.problem.motions, decisions.practical):
         selection.run()
     return replace(
@@ -133,7 +148,7 @@ class _Selection:
     given: set[str]
     clocks: ClockChoice
     decisions: Decisions
-    work: Work
+    begin: Callable[[str], None]
     noise: list[DetectedRandomEffect]
     dictionary: Dictionary = field(init=False)
     terms: dict[str, LibraryTerm | BasisTerm] = field(default_factory=dict)
@@ -181,9 +196,9 @@ class _Selection:
     def _select(self) -> None:
         """Take rounds until the best set of terms is that of the model."""
         for _ in range(_ROUNDS):
-            self.work.begin("search: effects")
+            self.begin("search: effects")
             self._linearise()
-            self.work.begin("search: refits")
+            self.begin("search: refits")
             if not self._refit_best():
                 break
         self._drop_misfits()
@@ -368,7 +383,7 @@ class _Selection:
         found = random_coefficients(self.fit, self.decisions)
         if not found:
             return False
-        self.work.begin("search: random processes")
+        self.begin("search: random processes")
         before = self.fit
         larger, effect = iterate(before.refit(random=(*before.random, found[0].effect)), found[0].effect)
         recurs = self.dictionary.recurring and self._is_worse(larger, before)  # it takes part of what recurs

@@ -90,31 +90,12 @@ def with_headings(path, change):
     return replace(path, yaw_rad=change(path.yaw_rad, path.t_s))
 
 
-def held(every_s):
-    """Return the function that keeps headings for some seconds."""
-    return lambda yaw, t_s: yaw[np.searchsorted(t_s, np.floor(t_s / every_s) * every_s)]
-
-
-def at_rest(rows):
-    """Return motions (n, 3) with rests of 8 s."""
-    return np.concatenate([np.concatenate((part, np.zeros((400, 3)))) for part in np.array_split(rows, 3)])
-
-
-@pytest.mark.parametrize(
-    ("name", "wrong", "words"),
-    [
-        ("stale headings", lambda path: with_headings(path, held(2.0)), "change every 2 s"),
-        ("late turns", lambda path: with_headings(path, lambda yaw, t: np.interp(t - 1.5, t, yaw)), "1.5 s later"),
-        ("turns at rest", lambda path: with_headings(path, lambda yaw, t: yaw + 0.1 * t), "turns by 5.73 deg/s"),
-    ],
-)  # fmt: skip
-@pytest.mark.parametrize("seed", range(2))
-def test_headings_that_are_wrong_in_a_way_of_their_own(name, wrong, words, seed):
-    rows = at_rest(driven(seed, 90.0))
-    steps = increments(wrong(trajectory(rows)).trajectory().xyt).rows[:, 2]
+def test_turns_that_come_late_are_undone():
+    rows = driven(1, 90.0)
+    delayed = with_headings(trajectory(rows), lambda yaw, t: np.interp(t - 1.5, t, yaw))
+    steps = increments(delayed.trajectory().xyt).rows[:, 2]
     found = first_look(Look((trajectory(np.column_stack((rows[:, :2], steps))), real(rows))))
-    assert found.mistakes[0].name == name
-    assert words in found.mistakes[0].sentence
+    assert "1.5 s later" in found.mistakes[0].sentence
     assert Look((found.odometry, found.truth)).correlations[2, 2] > 0.9
 
 
@@ -145,20 +126,14 @@ def test_a_truth_is_stretched_along_an_axis(along, by, headed):
     assert np.allclose(np.ptp(found.truth.xyz[:, :2], axis=0), np.ptp(path.xyz[:, :2], axis=0), rtol=0.05)
 
 
-@pytest.mark.parametrize("steps", [False, True])
-def test_positions_that_are_speeds_or_steps_are_refused(steps):
-    rows, path = driven(5), trajectory(driven(5))
-    body = np.concatenate((rows[:1], rows))[:, :2] * (1.0 if steps else HZ)
-    speeds = replace(path, xyz=np.column_stack((body, 0.0 * body[:, 0])))
-    with pytest.raises(RecordingError, match="its positions are speeds or steps"):
-        look_at(speeds, real(rows))
-
-
-def test_a_steering_angle_that_is_clamped_is_a_limit():
+def test_wheels_and_a_steering_angle_that_are_clamped_are_a_limit():
+    rows = driven(6)
+    with pytest.raises(RecordingError, match=r"speeds of its wheels of at most 0\.2[45]"):
+        look_at(trajectory(rims(rows, *(lambda u: np.clip(u, -5e-3, 5e-3),) * 2)), real(rows))
     rows = driven(6)
     rows[:, 0] = np.maximum(np.abs(rows[:, 0]), 0.2 / HZ)
     bend = np.clip(rows[:, 2] / rows[:, 0], -0.6, 0.6)
-    with pytest.raises(RecordingError, match=r"turns 0\.6 rad per m at most"):
+    with pytest.raises(RecordingError, match=r"turns per metre of at most 0\.6"):
         look_at(trajectory(np.column_stack((rows[:, :2], bend * rows[:, 0]))), real(rows))
 
 
@@ -227,8 +202,6 @@ def test_one_of_four_wheels_that_counts_the_wrong_way_and_two_that_are_exchanged
         (lambda rows: trajectory(rows * [1.0, 1.0, 0.0]), "never turns, .* does"),
         (lambda rows: trajectory(rows * [1, 1, 0] + np.random.default_rng(1).normal(0.0 * rows, 1e-4) * [0, 0, 1]),
          "never"),
-        (lambda rows: trajectory(rims(rows, *(lambda u: np.clip(u, -5e-3, 5e-3),) * 2)), "at most, .*; the truth tra"),
-        (lambda rows: trajectory(np.roll(rows, len(rows) // 2, axis=0) * [0, 0, 1] + 2.2 * rows * [1, 1, 0]), "follow"),
     ],
 )  # fmt: skip
 def test_turns_from_which_nothing_can_be_learned(wrong, said, headed):
@@ -247,19 +220,14 @@ def late(path, grown):
     return kept.stamped(path.stamps_ns[0] + np.round((kept.stamps_ns - path.stamps_ns[0]) * grown).astype(np.int64))
 
 
-def in_bursts(path, few=20):
-    return path.stamped(path.stamps_ns[few * (np.arange(len(path)) // few)] + 400_000 * (np.arange(len(path)) % few))
-
-
 @pytest.mark.parametrize(
     ("wrong", "name"),
     [
-        (lambda rows: late(trajectory(rows), 1.1), "clock rate"), (lambda rows: in_bursts(trajectory(rows)), "bursts"),
+        (lambda rows: late(trajectory(rows), 1.1), "clock rate"),
         (lambda rows: replace(path := trajectory(rows), xyz=path.xyz + 4.0 * (path.t_s > 60.0)[:, None]), "resets"),
         (lambda rows: trajectory(rows * np.where(np.abs(rows) < 0.008, [1.0, 1.0, 0.0], 1.0)), "slow turns"),
         (lambda rows: trajectory(rims(rows, np.positive, lambda u: u * (np.arange(len(u)) % 1500 > 400))), "one head"),
         (lambda rows: trajectory(rows + (np.arange(len(rows)) % 1999 == 1998)[:, None] * [0, 0, np.pi]), "flips"),
-        (lambda rows: replace(p := trajectory(rows), xyz=np.round(p.xyz / [0.05, 0.01, 1]) * [0.05, 0.01, 1]), "whole"),
     ],
 )  # fmt: skip
 def test_stamps_resets_and_parts_that_are_lost_are_named_and_left_out(wrong, name):
@@ -352,37 +320,28 @@ def test_steps_that_are_rotated_by_a_multiple_of_the_heading(seed, headed, times
     assert np.abs(xyz - path.xyz).max() < 0.01
 
 
-@pytest.mark.parametrize(("every", "repeats"), [(200, 30), (6000, 1200)])
-def test_poses_that_are_repeated_and_then_jump(every, repeats):
-    rows = driven(11)
-    path, i = trajectory(rows), np.arange(len(rows) + 1)
-    late = np.where(i % every < repeats, i - i % every, i)
-    found = look_at(replace(path, xyz=path.xyz[late], yaw_rad=path.yaw_rad[late]), real(rows), "repeated poses")
-    assert np.isin(found.odometry.stamps_ns, path.stamps_ns[late == i]).mean() > 0.85
-
-
 @pytest.mark.parametrize("headed", [True, False])
 def test_encoders_without_direction_and_yaw_rates_without_sign_are_refused(headed):
     bent = driven(6) * [0.0, 1.0, 1.0] + [0.3 / HZ, 0.0, 0.0]
-    with pytest.raises(RecordingError, match="/odom never turns right"):
+    with pytest.raises(RecordingError, match="/odom counts its turns to the right the other way"):
         first_look(Look((trajectory(np.abs(bent)), real(bent, headed=headed))))
     rows = driven() + np.array((0.0, 0.0, 0.2 / HZ))
-    with pytest.raises(RecordingError, match="/odom never drives in reverse, the truth does in"):
-        first_look(Look((trajectory(rims(rows, np.abs, np.abs)), real(rows, headed=headed))))
+    with pytest.raises(RecordingError, match="/odom counts its wheels in reverse forwards"):
+        first_look(Look((trajectory(rims(rows, np.abs, np.abs)), real(rows))))
     for counts, side, track_m in product((np.abs, lambda u: np.maximum(u, 0.0)), (1, -1), (0.09, 0.3, 0.6) * headed):
         rows = driven(round(10 * track_m)) * [1.0, 1.0, 0.2 / track_m]
         wrong = trajectory(rims(rows, *(counts, np.positive)[::side], track_m))
-        with pytest.raises(RecordingError, match=f"{['', 'left', 'right'][side]} wheel never drives in reverse, the"):
+        with pytest.raises(RecordingError, match=f"count.* its {['', 'left', 'right'][side]} wheel in reverse"):
             first_look(Look((wrong, real(rows))))
 
 
 def test_turns_on_the_spot_that_are_not_counted_and_commands_that_are_not_followed():
     rows = driven(6)
     rows[2000:2600], rows[4000:4600] = (0.0, 0.0, 0.5 / HZ), (0.0, 0.0, -0.5 / HZ)
-    with pytest.raises(RecordingError, match="/odom does not turn where /truth turns on the spot"):
-        first_look(Look((trajectory(rows * np.where(rows[:, :1] == 0.0, [1.0, 1.0, 0.0], 1.0)), real(rows))))
-    with pytest.raises(RecordingError, match=r"the truth travels .* at most, .* commands"):
-        first_look(Look((trajectory(rows), real(np.clip(rows, -4e-3, [4e-3, 0.0, 1.0])))))
+    wrong = trajectory(rows * np.where(rows[:, :1] == 0.0, [1.0, 1.0, 0.0], 1.0))
+    assert "/odom has no turns at speeds below" in look_at(wrong, real(rows), "dead zone").mistakes[0].said
+    with pytest.raises(RecordingError, match=r"the truth has speeds of at most 0\.(19|20).* commands"):
+        first_look(Look((trajectory(rows), real(np.clip(rows, [-4e-3, 0.0, -1.0], [4e-3, 0.0, 1.0])))))
 
 
 def test_travel_sideways_that_is_not_counted():
@@ -442,8 +401,6 @@ def test_overflows_are_counted_and_taken_out(bits, wheel_m, steered):
         ("steps and headings", lambda one: {"xyz": one.xyz * [1.0, -1.0, 1.0]}),
         ("flips", lambda one: {"yaw_rad": one.yaw_rad % np.pi}),
         ("flips", lambda one: {"yaw_rad": one.yaw_rad + np.pi * (np.abs(one.t_s - 50.0) < 3.0)}),
-        ("flips", lambda one: {"yaw_rad": (np.unwrap(one.yaw_rad) + 1.0) % 2.0 - 1.0}),
-        ("whole positions", lambda one: {"xyz": 4e-3 * np.rint(one.xyz / 4e-3)}),
     ],
 )  # fmt: skip
 def test_headings_against_their_own_path(at, name, wrong):
@@ -454,24 +411,45 @@ def test_headings_against_their_own_path(at, name, wrong):
     look_at(found.odometry, found.truth)
 
 
-@pytest.mark.parametrize("factors", [(1.0, 1.0, -1.0), (0.5, 0.5, 0.5)])
-def test_another_factor_in_reverse(factors):
+def test_slow_wheels_that_are_not_counted_and_the_travel_of_a_steered_wheel():
+    rows = driven(6)
+    found = look_at(
+        trajectory(rims(rows, *(lambda u: np.where(np.abs(u) < 3e-3, 0.0, u),) * 2)), real(rows), "dead zone"
+    )
+    assert "speeds of its wheels below 0.1" in found.mistakes[0].said
+    rows[:, 0] = np.maximum(np.abs(rows[:, 0]), 3e-3)
+    wheel = np.column_stack((np.hypot(rows[:, 0], 0.5 * rows[:, 2]), rows[:, 1:]))
+    with pytest.raises(RecordingError, match=r"travel of a steered wheel, 0\.5"):
+        look_at(trajectory(wheel), real(rows))
+
+
+def test_turns_in_reverse_of_the_other_sign():
     rows = driven(11)
     rows[4000:4600], rows[5000:5600] = (-0.3 / HZ, 0.0, 0.5 / HZ), (-0.3 / HZ, 0.0, -0.4 / HZ)
-    found = look_at(trajectory(rows * np.where(rows[:, :1] < 0.0, factors, 1.0)), real(rows), "in reverse")
-    assert np.allclose(increments(found.odometry.trajectory().xyt).rows, rows, atol=2e-4)
+    with pytest.raises(RecordingError, match="counts its turns in reverse the other way"):
+        look_at(trajectory(rows * np.where(rows[:, :1] < 0.0, [1.0, 1.0, -1.0], 1.0)), real(rows))
+
+
+def test_headings_that_are_clamped_and_motion_that_is_lost_in_gaps():
+    path, yaw = trajectory(rows := driven(6)), [0.0]
+    for turn in rows[:, 2]:
+        yaw.append(np.clip(yaw[-1] + turn, -np.pi, np.pi))
+    with pytest.raises(RecordingError, match="its headings stay at a half or whole turn"):
+        look_at(trajectory(np.column_stack((rows[:, :2], np.diff(yaw)))), real(rows))
+    kept = np.random.default_rng(1).random(len(rows)) > 0.3
+    lossy = trajectory(rows[kept])
+    at = np.flatnonzero(np.append(True, kept))
+    found = look_at(lossy.stamped(path.stamps_ns[at]), real(rows), "gaps")
+    assert np.hypot(*(found.odometry.xyz[-1] - path.xyz[-1])[:2]) < 2.0
 
 
 @pytest.mark.parametrize("at", [0, 1])
-def test_inverse_poses_and_several_publishers(at):
+def test_inverse_poses(at):
     pair = [trajectory(rows := driven()), real(rows)]
     one = pair[at]
     xy = -(one.xyz[:, :2] @ [1.0, 1j]) * np.exp(-1j * one.yaw_rad)
     pair[at] = replace(one, xyz=np.column_stack((xy.real, xy.imag, 0.0 * one.yaw_rad)), yaw_rad=-one.yaw_rad)
     look_at(*pair, "inverse")
-    pair[at] = replace(one, xyz=one.xyz + [3.0, 1.0, 0.0] * (np.arange(len(one)) % 3 == 0)[:, None])
-    with pytest.raises(RecordingError, match="several robots or publishers"):
-        first_look(Look(tuple(pair)))
 
 
 @pytest.mark.parametrize("at", ["beginning", "end"])
