@@ -365,7 +365,7 @@ def pseudo_inverse(normal: Array) -> Array:
 
 _ROBUST_ROUNDS = 5
 _CHANCE, _SIGNAL = 0.002, 0.05
-"""Fraction of outliers, or probability of the largest, that chance explains; fraction above which they are signal."""
+"""Fraction of outliers, or probability of the largest, that chance explains; fraction up to which none are signal."""
 ODD = 2e-4
 """Probability that an ordinary step is an outlier by chance, so small that trimming adds no bias."""
 
@@ -394,8 +394,8 @@ def fit_noise(
     """Return maximum-likelihood coefficients and truth noise; columns (K, 3, q) are free linear terms throughout.
 
     Intervals with innovations too large for chance get a larger covariance, which never shrinks again, and the fit is
-    repeated: slips and gross errors of the truth are then not fitted as noise. If more than a few per cent of the
-    intervals are outliers they are signal, and the fit without weights is returned.
+    repeated: slips and gross errors of the truth are then not fitted as noise. If there are more than a few per cent of
+    them, and most of their lengths is one direction, they are signal, and the fit without weights is returned.
 
     headings : whether the truth has headings; if not, its heading noise is held at a large constant
     start : (m,) noise of an earlier fit, see `NoiseFit.free`; default: an initial guess
@@ -409,20 +409,20 @@ def fit_noise(
     likelihood = weighted(np.ones(len(intervals)) if weights is None else weights)
     guess = likelihood.initial_guess()
     if start is None or len(start) != len(guess):
-        plain = likelihood.maximise(guess)
-    elif weights is not None:
-        plain = likelihood.maximise(start)
-    else:
+        start = guess
+    elif weights is None:
         # a coefficient that fell to zero while effects were still wrong may be non-zero now
-        plain = likelihood.maximise(likelihood.revived(start))
+        start = likelihood.revived(start)
+    done = plain = likelihood.maximise(start)
     if weights is not None:
         return plain
-    done = plain
     for _ in range(_ROBUST_ROUNDS):
         square = np.sum(done.innovations.reshape(-1, 3) ** 2, axis=1)
-        worse = outliers(square)
-        if not worse.any():
+        if not (worse := outliers(square)).any():
             break
         likelihood = weighted(np.where(worse, done.weights * square / 3.0, done.weights))
         done = likelihood.maximise(likelihood.revived(done.free))
-    return plain if np.mean(done.weights > 1.0) > _SIGNAL and not bursts else done
+    odd = done.innovations.reshape(-1, 3)[done.weights > 1.0]
+    common = np.sum(odd / np.linalg.norm(odd, axis=1)[:, None], axis=0)
+    signal = len(odd) > _SIGNAL * len(intervals) and common @ common > 0.5 * len(odd) ** 2
+    return plain if signal and not bursts else done
