@@ -78,8 +78,7 @@ def with_pose_steps(recording: Recording) -> Recording:
     own = recording.odometry.at(t_s, recording.origin_ns)
     found: list[PoseStep] = []
     while len(found) <= _MOST:
-        step = _largest(t_s, truth, own, found)
-        if step is None:
+        if (step := _largest(t_s, truth, own, found)) is None:
             return replace(recording, pose_steps=tuple(sorted(found, key=lambda one: one.start_s)))
         found.append(step)
     return recording

@@ -10,6 +10,7 @@ The covariance of the residuals under a noise law is a weighted sum of fixed mat
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING, Self
 
@@ -238,9 +239,8 @@ class NoiseLikelihood:
 
     def posterior(self, noise: NoiseFit) -> float:
         """Return the log posterior of a fit, nats: its log likelihood plus the log prior of a localisation's errors."""
-        if not self._localised:
-            return noise.log_likelihood
-        return noise.log_likelihood - 0.5 * float(np.sum(((noise.free[-3:-1] - _USUAL) / _SPREAD) ** 2))
+        prior = -0.5 * float(np.sum(((noise.free[-3:-1] - _USUAL) / _SPREAD) ** 2))
+        return noise.log_likelihood + self._localised * prior
 
     def maximise(self, free: Array, *, fixed: int | None = None) -> NoiseFit:
         """Return the fit of largest posterior from a start (m,); less precise with one held (for a profile)."""
@@ -402,10 +402,7 @@ def fit_noise(
     weights : (K,) robust weights to keep, so that likelihoods can be compared; default: estimated
     bursts : whether the model has slip bursts; then any number of outliers is accepted
     """
-
-    def weighted(weights: Array) -> NoiseLikelihood:
-        return NoiseLikelihood(intervals, components, columns, weights, headings=headings)
-
+    weighted = partial(NoiseLikelihood, intervals, components, columns, headings=headings)
     likelihood = weighted(np.ones(len(intervals)) if weights is None else weights)
     guess = likelihood.initial_guess()
     if start is None or len(start) != len(guess):

@@ -360,8 +360,7 @@ def heavy_tails(fit: Fit) -> tuple[Effect, float] | None:
     travel = np.hypot(steps[:, 0], steps[:, 1]) + _ARM_M * np.abs(steps[:, 2])
     usual = np.median(travel[travel > _STILL_M]) if (travel > _STILL_M).any() else np.inf
     driven = (travel > _USUAL * usual) & ~during(fit, single_events(fit))
-    channels = _of_odometry(fit, driven)
-    if not channels:
+    if not (channels := _of_odometry(fit, driven)):
         return None
     # undo the robust weights, which down-weighted the outliers
     odd = fit.noise.innovations.reshape(-1, 3) * np.sqrt(fit.noise.weights)[:, None]

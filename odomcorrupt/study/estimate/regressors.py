@@ -271,8 +271,7 @@ def choose_side(recording: Recording, node_s: float) -> Side:
     # the lower bound prevents 0 / 0 in a channel without motion, whose noise is zero too
     per_noise = (grid[1] - grid[0]) / node_s / np.maximum((step**2).mean(axis=0), 1e-30)
     noisy = square.mean(axis=0) / 6.0 * per_noise > _BIAS
-    shared = _shared(recording, moving, grid)
-    if shared is None:
+    if (shared := _shared(recording, moving, grid)) is None:
         return "truth" if noisy.any() else "odometry"
     noisy &= shared.part + _ERRORS * shared.error < _SHARED
     only_odometry = shared.odometry_noise > _NOISE_RATIO * shared.noise_of_truth

@@ -238,8 +238,7 @@ def truth_pieces(intervals: Intervals) -> list[tuple[Array, Array]]:
 def odometry_piece(intervals: Intervals, q: Array) -> tuple[Array, Array]:
     """Return the contribution of independent noise q (K, 3, 3) of each residual, as a pair like `truth_pieces`."""
     below = np.zeros_like(q[1:])
-    rho = rho_of(intervals)
-    if rho is None:
+    if (rho := rho_of(intervals)) is None:
         return q, below
     turned = rho[1:] @ q[:-1]
     diagonal = q.copy()

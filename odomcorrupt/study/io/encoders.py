@@ -72,8 +72,7 @@ def hides_losses(recording: Recording) -> bool:
 
 def restore_lost(recording: Recording, effects: Sequence[Effect]) -> Recording:
     """Return the recording with its odometry corrected for those effects that the odometry alone can restore."""
-    restorable = [effect for effect in effects if effect.restorable]
-    if not restorable:
+    if not (restorable := [effect for effect in effects if effect.restorable]):
         return recording
     motion = motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m)
     xyt = accumulate(recording.odometry.xyt[0], corrected_increments(restorable, motion))

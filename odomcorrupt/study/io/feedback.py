@@ -119,8 +119,7 @@ def pull_of(odometry: Samples, truth: Samples) -> Pull:
     For headings there is no test like that of sideways steps. If the truth is a localisation or the matches of a laser
     with its map, which are corrected themselves, a decay of the heading counts only together with one of the position.
     """
-    at = _aligned(odometry, truth)
-    if at is None:
+    if (at := _aligned(odometry, truth)) is None:
         return Pull(0.0, 0.0)
     own = between(at.own_xyt[:-1], at.own_xyt[1:])
     error = own - between(at.real_xyt[:-1], at.real_xyt[1:])
@@ -162,8 +161,7 @@ def _pull_of_steps(odometry: Samples, free: Samples, truth: Samples) -> Pull:
     The steps contain no gain, bias or noise of the truth, and wheels cannot cause them, so that no other regressors and
     no earlier errors are needed.
     """
-    at = _aligned(odometry, truth)
-    if at is None:
+    if (at := _aligned(odometry, truth)) is None:
         return Pull(0.0, 0.0)
     without = free.trajectory().at(at.t_s, int(odometry.stamps_ns[0]))
     step = between(at.own_xyt[:-1], at.own_xyt[1:]) - between(without[:-1], without[1:])

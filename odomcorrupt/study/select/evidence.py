@@ -215,8 +215,7 @@ class Search:
 
     def _evaluate(self, subsets: Iterable[Subset]) -> list[Subset]:
         """Evaluate sets that were not seen yet; return them."""
-        new = [s for s in dict.fromkeys(subsets) if s not in self.seen]
-        if new:
+        if new := [s for s in dict.fromkeys(subsets) if s not in self.seen]:
             self.seen.update(zip(new, self.evidence.gains(new).score.tolist(), strict=True))
         return new
 

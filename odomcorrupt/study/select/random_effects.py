@@ -214,8 +214,7 @@ def outlier_effects(fit: Fit, decisions: Decisions, *, tails: bool) -> list[Dete
     """
     if not sees_travel(fit.problem.recordings):
         return []
-    bursts = slip_bursts(fit)
-    if bursts is not None:
+    if (bursts := slip_bursts(fit)) is not None:
         return [DetectedRandomEffect(bursts, decisions.counted_nats)]
     # errors of scan matching have heavy tails themselves
     corrected = any(r.in_map for r in fit.problem.recordings)  # in steps, which make tails

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import EffectError, FitError
 from odomcorrupt.study.estimate.clocks import find_clocks, levelled, mounting_of, with_rounding
@@ -163,6 +164,7 @@ class _Selection:
 
     def run(self) -> None:
         """Select terms and random processes in turn until neither changes."""
+        self._compare_clock_with_lag()
         self._select()
         if self._contradicts_physics():
             self.fit, self.terms = self.fit.refit([e for e in self.fit.effects if e.name in self.given]), {}
@@ -183,6 +185,18 @@ class _Selection:
         if bursts or effects != list(self.fit.effects):
             # the error of bursts is an effect, and not noise of every step
             self.fit = self.fit.refit((*effects, *bursts))
+
+    def _compare_clock_with_lag(self) -> None:
+        """Replace the offset of a clock by a lag of all speeds, the same to first order, if that is likelier."""
+        lag, (clock, *others) = LibraryTerm(registry()["motor_lag"]()), self.fit.problem.clocks
+        offset, rate = self.fit.free_clocks[0]
+        if others or not offset or clock.offset_s >= 0.0 or lag.name in self.given:
+            return
+        late, clocks = lag.effect([-clock.offset_s]), [replace(clock, offset_s=0.0)]
+        fit = self.fit.refit((*self.fit.effects, late), clocks=clocks, free_clocks=[(False, rate)], weights_of=self.fit)
+        least = cost_of(lag, self.decisions, ()) - self.decisions.clock_nats
+        if fit.log_likelihood - self.fit.log_likelihood > least:
+            self.fit, self.terms = fit.refit(), {lag.name: lag}
 
     def _contradicts_physics(self) -> bool:
         """Return whether one effect gains more than the whole model, but only with a sign that physics forbids."""
@@ -378,10 +392,8 @@ class _Selection:
 
     def _include_process(self) -> bool:
         """Include the random process with the largest gain, if one is detected; return whether there was one."""
-        if len(self.fit.random) >= self.decisions.max_correlated:
-            return False
-        found = random_coefficients(self.fit, self.decisions)
-        if not found:
+        full = len(self.fit.random) >= self.decisions.max_correlated
+        if full or not (found := random_coefficients(self.fit, self.decisions)):
             return False
         self.begin("search: random processes")
         before = self.fit

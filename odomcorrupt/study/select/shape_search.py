@@ -284,8 +284,7 @@ class ShapeSearch:
         if len(of_library) < len(terms):
             return self._gains_of(terms)
         known = self._coarse_gains
-        new = {term.start: term for term in of_library if term.start not in known}
-        if new:
+        if new := {term.start: term for term in of_library if term.start not in known}:
             known.update(zip(new, self._gains_of(list(new.values())).tolist(), strict=True))
         return np.array([known[term.start] for term in of_library])
 
