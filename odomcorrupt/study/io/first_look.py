@@ -364,15 +364,14 @@ class Look:
         """Maps of the truth's motions that make the odometry's, and the reverse, None where a matrix is as good."""
         if self.steady.sum() < 5 * _FEWEST or self.sideways or (self.paths[1].headed and self.strafes):
             return None, None
-        found = [
-            best_map(*self.rates(1 - i), motions[self.steady, ::2], signs=i == 0)
-            for i, motions in enumerate(self.windows[:2])
-        ]
-        i = int(found[1].left < found[0].left)
-        changed, one = self.changed(found[i], 1 - i), found[i]
-        rest = moving(self.windows[:2][1 - i][self.steady, 0]) & ~changed
+        pair = [motions[self.steady, ::2] for motions in self.windows[:2]]
+        found = [best_map(*self.rates(1 - i), motions, signs=i == 0) for i, motions in enumerate(pair)]
+        one = found[i := int(found[1].left < found[0].left)]
+        changed = self.changed(one, 1 - i)
+        rest = ~changed & moving(self.windows[:2][1 - i][self.steady, 0])
         clear = one.left < min(0.4, (0.5, 0.6)[int(one.alone > PLAIN)] * one.alone) and one.alone > AGREE
-        # it acts several times, and not always
+        # it acts several times, and not always; beside motions that nearly agree it needs no other factor
+        clear &= one.alone > PLAIN or bool(np.abs(np.diag(one.matrix) - 1.0).max() < 0.1)
         if not clear or len(runs_of(changed)) < 3 or rest.sum() < _FEWEST:
             return None, None
         return (None, one) if i else (one, None)
