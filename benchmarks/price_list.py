@@ -76,6 +76,7 @@ RULES = {
     "study.select.confidence:_may_be_dead_band": "False",
     "study.select.dictionary:_patch_of": "[]",
     "study.select.random_effects:_in_both_halves": "True",
+    "study.select.selection:_Selection._compare_clock_with_lag": "None",
     "study.select.selection:_Selection._compare_with_process": "None",
     "study.select.selection:_Selection._contradicts_physics": "False",
     "study.select.selection:_Selection._drop_misfits": "None",

@@ -72,11 +72,10 @@ OWN = {
     },
     "sign": {"does": "counts its wheels in reverse forwards", "share": "29%",
              "causes": "encoders without direction (one channel, or a counter that cannot count down); unsigned speeds "
-             "or yaw rates; yaw rate of the absolute speed; the cosine of a "
-             "steering angle is left out",
+             "or yaw rates; a yaw rate of the absolute speed; the cosine of a steering angle is left out",
              "change": "count both channels, give speeds a sign"},
-    "overflow": {"cause": "a counter overflows (often of 8 or 16 bits), or is reset at stops; once a second, a time "
-                          "step is taken from the nanoseconds alone"},
+    "overflow": {"cause": "a counter overflows (often of 8 or 16 bits), is read as unsigned, or is reset at stops; "
+                          "once a second, a time step is taken from the nanoseconds alone"},
     "slow turns": {"rate": 26},
     "resets": {"where": "4.99 m at 77 s", "causes": "the node or the board was restarted; a counter was reset; counts "
                "or speeds are read as unsigned"},

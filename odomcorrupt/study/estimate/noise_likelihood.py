@@ -239,8 +239,9 @@ class NoiseLikelihood:
 
     def posterior(self, noise: NoiseFit) -> float:
         """Return the log posterior of a fit, nats: its log likelihood plus the log prior of a localisation's errors."""
-        prior = -0.5 * float(np.sum(((noise.free[-3:-1] - _USUAL) / _SPREAD) ** 2))
-        return noise.log_likelihood + self._localised * prior
+        if not self._localised:
+            return noise.log_likelihood
+        return noise.log_likelihood - 0.5 * float(np.sum(((noise.free[-3:-1] - _USUAL) / _SPREAD) ** 2))
 
     def maximise(self, free: Array, *, fixed: int | None = None) -> NoiseFit:
         """Return the fit of largest posterior from a start (m,); less precise with one held (for a profile)."""
@@ -395,7 +396,7 @@ def fit_noise(
 
     Intervals with innovations too large for chance get a larger covariance, which never shrinks again, and the fit is
     repeated: slips and gross errors of the truth are then not fitted as noise. If there are more than a few per cent of
-    them, and most of their lengths is one direction, they are signal, and the fit without weights is returned.
+    them and most point the same way, they are signal, and the fit without weights is returned.
 
     headings : whether the truth has headings; if not, its heading noise is held at a large constant
     start : (m,) noise of an earlier fit, see `NoiseFit.free`; default: an initial guess

@@ -366,12 +366,12 @@ class Look:
             return None, None
         pair = [motions[self.steady, ::2] for motions in self.windows[:2]]
         found = [best_map(*self.rates(1 - i), motions, signs=i == 0) for i, motions in enumerate(pair)]
-        one = found[i := int(found[1].left < found[0].left)]
+        one = found[i := int(found[1].residual < found[0].residual)]
         changed = self.changed(one, 1 - i)
         rest = ~changed & moving(self.windows[:2][1 - i][self.steady, 0])
-        clear = one.left < min(0.4, (0.5, 0.6)[int(one.alone > PLAIN)] * one.alone) and one.alone > AGREE
+        clear = one.without > AGREE and one.residual < min(0.4, (0.5, 0.6)[int(one.without > PLAIN)] * one.without)
         # it acts several times, and not always; beside motions that nearly agree it needs no other factor
-        clear &= one.alone > PLAIN or bool(np.abs(np.diag(one.matrix) - 1.0).max() < 0.1)
+        clear &= one.without > PLAIN or bool(np.abs(np.diag(one.matrix) - 1.0).max() < 0.1)
         if not clear or len(runs_of(changed)) < 3 or rest.sum() < _FEWEST:
             return None, None
         return (None, one) if i else (one, None)
@@ -1167,10 +1167,7 @@ def _lost_sign(look: Look) -> Figures | None:
     rolls = one.channel in (*WHEELS, "travel", "motion")
     turns = {"left turns": f"turns to the {sides[0]}", "right turns": f"turns to the {sides[1]}"}
     part = turns.get(one.channel, one.channel + " in reverse" * rolls)
-    causes, change = (
-        "an unsigned yaw rate, or an angle from an arc cosine; yaw rate of the absolute speed",
-        "keep the sign",
-    )
+    causes, change = "an unsigned yaw rate, or an arc cosine; a yaw rate of the absolute speed", "keep the sign"
     if rolls:
         causes, change = _NO_DIRECTION, "count both channels, or give speeds the sign of the command"
     does = f"counts its {part} {'forwards' if rolls else 'the other way'}"
@@ -1187,15 +1184,12 @@ def _threshold(look: Look, kind: str) -> Figures | None:
     i, one = next(((i, one) for i, one in enumerate(look.maps) if one is not None and one.kind == kind), (0, None))
     if one is None:
         return None
-    at = (
-        one.at
-        * one.matrix[k := int(one.channel in ("turns", "curvature")), k]
-        / one.matrix[0, 0] ** (one.channel == "curvature")
-    )
+    k = int(one.channel in ("turns", "curvature"))
+    at = abs(one.at * one.matrix[k, k] / (one.matrix[0, 0] if one.channel == "curvature" else 1.0))
     unit = "rad/s" if one.channel == "turns" else "rad per m" if one.channel == "curvature" else "m/s"
     limited, beside = (look.paths[0].place, "the truth")[:: 1 - 2 * i]
     words: Figures = dict(zip(("causes", "change"), (THRESHOLDS if i == 0 else COMMANDS)[kind], strict=True))
-    words |= {"one": limited, "beside": beside, "what": QUANTITIES[one.channel], "at": f"{abs(at):.3g} {unit}"}
+    words |= {"one": limited, "beside": beside, "what": QUANTITIES[one.channel], "at": f"{at:.3g} {unit}"}
     words |= {"share": f"{look.changed(one, 1 - i).mean():.0%}"}
     if kind == "dead zone":
         words |= {"undo": lambda path: path, "then": "the study goes on with the rest"}
@@ -1307,14 +1301,17 @@ def _lost_in_gaps(look: Look) -> Figures | None:
     if len(gaps) < _FEWEST or np.median(size[gaps] / expected) > 1.5 * np.median(every_s / dt_s[gaps]):
         return None
     rows[gaps] *= (dt_s[gaps] / every_s)[:, None]
+    # stamps of arrival have gaps in which nothing is lost
+    if look.having(0, _moved_by(path, rows)).sizes[0][2] > 0.7 * look.sizes[0][2]:
+        return None
     words = {"count": len(gaps), "lost": f"{dt_s[gaps].sum() - every_s * len(gaps):.0f}"}
     return words | {"undo": lambda path: _moved_by(path, rows)}
 
 
-def _clamped(look: Look, i: int) -> Figures | None:
-    """Find headings that stay at half a turn, or a whole one, while the other trajectory turns."""
-    path, (here, there, (starts, _)) = look.paths[i], look.motions
-    if not look.headed or i:
+def _clamped(look: Look) -> Figures | None:
+    """Find headings that stay at half a turn, or a whole one, while the truth turns."""
+    path, (here, there, (starts, _)) = look.paths[0], look.motions
+    if not look.headed:
         return None
     at = np.abs(np.abs(path.yaw_rad)[:, None] / np.pi - (1.0, 2.0)).min(axis=1) < 1e-6
     stays = np.interp(starts + look.window_s / 2.0, path.t_s, at) > 0.9
@@ -1572,7 +1569,7 @@ PATTERNS = (
             "another axis; one counter read for both wheels, or without direction where it turns on the spot alone",
             _RECORD, "", _never_turns),
     Pattern("clamped headings", "{who}: its headings stay at a half or whole turn in {share} of {other}'s turns",
-            "an angle that is clamped to its range", "wrap it; " + _RECORD, "", _clamped, alone=True),
+            "an angle that is clamped to its range", "wrap it; " + _RECORD, "", _clamped),
     Pattern("late clock",
             "{who}: its clock is {off} s {side} the odometry's (motions correlate by {best} there, by {near} as they "
             "are)", "clocks that are not synchronised; one of the files began later", "give --truth-shift {shift}", "",
@@ -1600,10 +1597,10 @@ PATTERNS = (
             _whole_steps),
     Pattern("wheel gains", "{who} moves as with wheels {each} (this explains {explained})",
             "{cause}", "{change}", "{then}", _wheel_gains),
-    Pattern("sign", "{who} {does} ({share} of the truth's motion)", "{causes}", "{change}; " + _RECORD, "", _lost_sign),
-    Pattern("limit", "{one} has {what} of at most {at}; {beside} has larger ones in {share} of its motion", "{causes}",
+    Pattern("sign", "{who} {does} ({share} of the time)", "{causes}", "{change}; " + _RECORD, "", _lost_sign),
+    Pattern("limit", "{one} has {what} of at most {at}; {beside} has larger ones in {share} of the time", "{causes}",
             "{change}; " + _RECORD, "", lambda look: _threshold(look, "limit")),
-    Pattern("dead zone", "{one} has no {what} below {at}; {beside} has, in {share} of its motion", "{causes}",
+    Pattern("dead zone", "{one} has no {what} below {at}; {beside} has, in {share} of the time", "{causes}",
             "{change}; " + _RECORD, "{then}", lambda look: _threshold(look, "dead zone")),
     Pattern("one heading", "{who} {does} {when} while it travels and {other} turns otherwise",
             "a gyro, or that wheel's encoder, that died (cable, topic); a steering angle or yaw rate that stays; "

@@ -1,8 +1,8 @@
 """Maps of motions that lose a part of them: signs, limits and dead zones of travel, turns or wheels.
 
 The odometry's motions in windows are a matrix times such a map of the truth's; the reverse holds for commands that a
-robot does not follow. All maps are judged by one number, the part of the motions that they leave unexplained, and one
-counts where it leaves much less than a matrix alone.
+robot does not follow. All maps are compared by one number, the part of the motions that remains unexplained, and the
+best one is a finding if it is much smaller than with a matrix alone.
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ _KINDS: dict[str, Callable[[Array, Array, float], Array]] = {
     "limit": lambda u, unit, most: np.clip(u, -most * np.abs(unit), most * np.abs(unit)),
     "dead zone": lambda u, unit, least: np.where(np.abs(u) < least * np.abs(unit), 0.0, u),
 }
-"""A motion that is multiplied where another one is negative, or that is kept below, or above, a multiple of it."""
+"""What is done to a motion: a factor where another one is negative, or a limit or least size relative to another."""
 WHEELS = {"left wheel": (True, False), "right wheel": (False, True), "wheels": (True, True)}
+"""Whether the left and the right wheel are changed."""
 STEERED_WHEELS = ("steered wheel", "steered wheel, gyro")
-"""The way of a steered wheel as that of the axle, whose turns follow from it or are right."""
+"""Travel of a steered wheel that is taken for the axle's; turns are computed from it, or are those of a gyro."""
 _ARMS_M = np.geomspace(0.03, 1.5, 8)
 """Half of the wheel separation: that of the odometry is not known."""
 AGREE, PLAIN = 0.06, 0.12
-"""Parts of the motions, left by a matrix, that no map need explain, and that are plainly wrong."""
+"""Unexplained part of the motions up to which no map is sought, and from which the two differ plainly."""
 _LOST, _SHARES = (-1.0, 0.0), np.arange(10.0, 100.0, 10.0)
 """Factors of a motion in reverse, and percentiles of a motion, that are tried."""
 
@@ -44,7 +45,7 @@ class MotionMap:
         the spot, or one of `WHEELS` or `STEERED_WHEELS`
     at : factor, or limit in m/s, rad/s or rad/m
     arm_m : half of the wheel separation, of wheels; how far a steered wheel is ahead of the axle
-    left, alone : part of the motions that a matrix leaves beside the map, and without it
+    residual, without : unexplained motions relative to all, root mean square, with the map and with a matrix alone
     matrix : (2, 2), by which mapped travel and turns are multiplied
     """
 
@@ -52,8 +53,8 @@ class MotionMap:
     channel: str = "travel"
     at: float = 1.0
     arm_m: float = 0.0
-    left: float = np.inf
-    alone: float = 0.0
+    residual: float = np.inf
+    without: float = 0.0
     matrix: Array = field(default_factory=lambda: np.eye(2))
 
     def of(self, rates: Array) -> Array:
@@ -97,7 +98,7 @@ def linear(x: Array, y: Array) -> tuple[Array, float]:
 
 
 def best_map(rates: Array, sums: Callable[[Array], Array], motions: Array, signs: bool) -> MotionMap:  # noqa: FBT001
-    """Return the map of rates (k, 2) that leaves the least of motions (n, 2) in windows.
+    """Return the map of rates (k, 2) with the smallest residual of motions (n, 2) in windows.
 
     sums : function that returns the motions (n, 2) in windows of rates (k, 2)
     signs : whether maps of signs are among them
@@ -113,24 +114,24 @@ def best_map(rates: Array, sums: Callable[[Array], Array], motions: Array, signs
         mapped = sums(one.of(rates))[kept]
         matrix, _ = linear(mapped, motions[kept])
         off = np.minimum(np.square((motions[kept] - mapped @ matrix.T) / size), 1.0)
-        return replace(one, left=float(np.sqrt(off.sum(axis=1).mean())), matrix=matrix, alone=alone)
+        return replace(one, residual=float(np.sqrt(off.sum(axis=1).mean())), matrix=matrix, without=without)
 
     def searched(rates: Array, kinds: tuple[str, ...]) -> MotionMap:
-        groups, left = [some for some in _trials(rates) if some and some[0].kind in kinds], attrgetter("left")
+        groups, key = [some for some in _trials(rates) if some and some[0].kind in kinds], attrgetter("residual")
         for step in (1.3, 1.1, 1.03, 1.0):
-            found = sorted((min((fitted(one, rates) for one in some), key=left) for some in groups), key=left)[:6]
+            found = sorted((min((fitted(one, rates) for one in some), key=key) for some in groups), key=key)[:6]
             groups = [list(_near(one, step)) for one in found]
         return found[0]
 
-    alone = np.inf
-    if (alone := fitted(MotionMap(), rates).left) < AGREE:
-        return MotionMap(left=alone, alone=alone)
+    without = np.inf
+    if (without := fitted(MotionMap(), rates).residual) < AGREE:
+        return MotionMap(residual=without, without=without)
     thresholds = ("limit", "dead zone")
     one = searched(rates, ("sign", *thresholds) if signs else thresholds)
-    if one.left < alone / 2.0 or alone < PLAIN:
+    if one.residual < without / 2.0 or without < PLAIN:
         return one
     # what limits travel may limit turns, too
-    return replace(one, left=searched(one.of(rates), thresholds).left)
+    return replace(one, residual=searched(one.of(rates), thresholds).residual)
 
 
 def _trials(rates: Array) -> Iterator[list[MotionMap]]:
