@@ -175,6 +175,8 @@ def _rename_flagged(partial: Path, path: Path, flag: int) -> bool:
     raise OSError(code, os.strerror(code), str(path))
 
 
+_KEEP_SIZE = 1
+"""Flag of fallocate(2): room is reserved, the size stays."""
 _AT_ONCE_BYTES = 16 << 20
 """Bytes copied by one system call; an interrupt waits for the end of a call."""
 
@@ -218,6 +220,7 @@ class FileCopy:
         self._ended = self._stopped = False
         self._progress = threading.Condition()
         self._paused = paused or threading.Lock()
+        _reserve(target, self._state[0])
         self._thread = threading.Thread(target=self._run, name="copy", daemon=True)
         self._thread.start()
 
@@ -259,6 +262,16 @@ class FileCopy:
         with self._progress:
             self._ended = True
             self._progress.notify_all()
+
+
+def _reserve(descriptor: int, size: int) -> None:
+    """Have the file system find the room of a file at once: on ext4 a copy into it then takes half the kernel's time.
+
+    Not posix_fallocate, which writes to every block where a file system cannot do this.
+    """
+    call = getattr(ctypes.CDLL(None), "fallocate", None) if sys.platform == "linux" else None
+    if call is not None:  # an error, as of a disk that is nearly full, is that of a later write, if it is one
+        call(descriptor, _KEEP_SIZE, ctypes.c_long(0), ctypes.c_long(size))
 
 
 _AT_POSITIONS = hasattr(os, "pwrite")
