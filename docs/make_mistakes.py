@@ -84,11 +84,14 @@ OWN = {
     | thresholds("limit"),
     "dead zone": {"one": "/odom", "beside": "the truth", "what": "yaw rates", "at": "0.23 rad/s", "share": "35%"}
     | thresholds("dead zone"),
-    "gaps": {"count": 596, "lost": "43"}, "clamped headings": {"share": "17%"},
+    "time step": {"step": 20, "low": 20, "high": 60}, "publishers": {"share": "67%", "few": 8},
+    "clamped headings": {"share": "17%"},
     "other way round": {"count": 2},
     "late turns": {"late": 1.5, "side": "later"}, "stretched": {"who": "/truth", "factor": 1.62, "along": 0},
     "plane": {"who": "/truth"}, "headings of the truth": {"who": "/truth", "what": "are 0 or 180 deg alone"},
-    "clock rate": {"factor": 2.0}, "stands still": {"share": "50%"},
+    "clock rate": {"factor": 2.0},
+    "stands still": {"share": "50%", "causes": "a driver that lost its wheels, and repeats a message; a robot that is "
+                     "blocked while its wheels spin, or beside odometry of commands; a tracker that lost its target"},
     "whole steps": {"steps": "increments are whole steps of 1 mm of a wheel", "lost": "travels 0.9 +- 0.1"},
     "stamps": {"note": "/odom: 4341 of its poses have the stamp of the one before, while it moves, or stamps read as "
                "milliseconds beside seconds"},

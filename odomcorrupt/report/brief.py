@@ -229,15 +229,21 @@ def _clock_words(search: Learned) -> list[str]:
     return said
 
 
+def _largest(search: Learned) -> str:
+    """Return the name of the effect by which odometry is displaced most in 10 s: the cause, also if of the set-up."""
+    moved_m = {name: one.ten_seconds.moved_m for name, one in search.contributions.items()}
+    return max(moved_m, key=moved_m.__getitem__, default="")
+
+
 def _mounting_words(search: Learned, fit: Fit) -> str:
     """Return where the truth's tracked point sits on the robot and how it is turned, if significant; "" if not.
 
-    A set-up effect that the search selected has a line of its own.
+    A smaller set-up effect that the search selected has a line of its own.
     """
     said = []
     for effect, errors in effects_with_errors(fit):
         values = [getattr(effect, p.name) for p in amplitudes(effect)]
-        if effect.name in search.added:
+        if effect.name in search.added and effect.name != _largest(search):
             continue
         if effect.name == "mount_yaw" and abs(values[0]) > max(SIGNIFICANT * errors[0], _LEAST_TURNED_RAD):
             against = " against TF" if any(r.matched for r in fit.problem.recordings) else ""
@@ -245,7 +251,7 @@ def _mounting_words(search: Learned, fit: Fit) -> str:
         elif effect.name == "lever_arm":
             sides = zip(values, errors, (("ahead of", "behind"), ("left of", "right of")), strict=True)
             where = [
-                f"{abs(v) * 1e2:.2g} cm {words[v < 0.0]}"
+                f"{f'{abs(v):.3g} m' if abs(v) >= 1.0 else f'{abs(v) * 1e2:.2g} cm'} {words[v < 0.0]}"
                 for v, e, words in sides
                 if abs(v) > max(SIGNIFICANT * e, _LEAST_APART_M)
             ]
@@ -281,7 +287,7 @@ def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[L
         said += f", or {', '.join(rivals)}" if rivals else ""
         doubtful = one.confidence < EVEN_ODDS
         group, label = (_DOUBTFUL, _PERHAPS) if doubtful else (_NAMED, "")
-        if name in search.of_setup:
+        if name in search.of_setup and name != _largest(search):
             group, label = _SET_UP, "set-up"
         ranks[name] = (group, -one.nats)
         # without any likelier effect it is what the errors fall by

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
+from scipy.signal import lfilter
 
 from odomcorrupt.drive_types import STEERED
 from odomcorrupt.effects import effect_from_values
@@ -20,7 +21,7 @@ from odomcorrupt.geometry.motion import step_of
 from odomcorrupt.geometry.se2 import Increments, accumulate, between, increments, wrap
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.study.io.jumps import reach_of, stretches
-from odomcorrupt.study.io.motion_maps import AGREE, PLAIN, STEERED_WHEELS, WHEELS, best_map, linear
+from odomcorrupt.study.io.motion_maps import AGREE, PLAIN, STEERED_WHEELS, WHEELS, best_map, linear, unexplained
 from odomcorrupt.study.io.plausibility import check_pair, cross_correlation
 from odomcorrupt.study.io.raw_trajectory import (
     BACKWARDS,
@@ -45,6 +46,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.raw_trajectory import Samples
     from odomcorrupt.study.io.recording import Recording
 
+_LAGS_S = (0.0, 0.2, 0.4, 0.8, 1.6)
+"""Time constants of a filter, or of motors, that are tried."""
 _GRID_S = 0.1
 """Step of the lags at which motions are compared."""
 _MOVING = 0.2
@@ -310,16 +313,17 @@ class Look:
         first, last = max(one.t_s[0], other.t_s[0]), min(one.t_s[-1], other.t_s[-1]) - window_s
         margin_s = min(CLOCK_S, (last - first) / 4.0)
         starts = np.arange(first + margin_s, last - margin_s, window_s / 4.0)
-        here, best = one.within(starts, window_s), (-np.inf, 0.0)
+        here, found = one.within(starts, window_s), [(-np.inf, -np.inf, 0.0)]
         for lag_s in np.arange(-margin_s, margin_s, _GRID_S).tolist():
-            there = other.within(starts + lag_s, window_s)
-            pair = [here, there]
-            if not self.paths[1].headed:
-                sizes = (np.abs(np.column_stack((x[:, 0] + 1j * x[:, 1], 0.0 * x[:, 0], x[:, 2]))) for x in pair)
-                pair = [x - x.mean(axis=0) for x in sizes]
-            c = _correlations(*pair)
-            best = max(best, (float(np.sum(c[[0, 0, 2, 2], [0, 2, 0, 2]] ** 2)) - 1e-3 * abs(lag_s), lag_s))
-        return here, other.within(starts + best[1], window_s), (starts, starts + best[1])
+            pair = [here, other.within(starts + lag_s, window_s)]
+            sizes = [np.abs(np.column_stack((x[:, 0] + 1j * x[:, 1], 0.0 * x[:, 0], x[:, 2]))) for x in pair]
+            each = [_correlations(*pair), _correlations(*(x - x.mean(axis=0) for x in sizes))]
+            found.append((*(float(np.sum(c[::2, ::2] ** 2)) - 1e-3 * abs(lag_s) for c in each), lag_s))
+        # of positions alone, and of motions whose sign is lost, only sizes are alike
+        signed, sized, _ = np.max(found, axis=0)
+        by_size = not self.paths[1].headed or sized > signed + 0.5
+        lag_s = max(found, key=lambda one: one[int(by_size)])[-1]
+        return here, other.within(starts + lag_s, window_s), (starts, starts + lag_s)
 
     @cached_property
     def windows(self) -> tuple[Array, Array, tuple[Array, Array]]:
@@ -341,8 +345,12 @@ class Look:
         one, other = (moving(np.hypot(x[:, 0], x[:, 1])) for x in pair)
         return np.asarray(one & _steady(other & (np.abs(pair[0][:, 1]) < 0.3 * np.abs(pair[0][:, 0]))))
 
-    def rates(self, i: int) -> tuple[Array, Callable[[Array], Array]]:
-        """Return rates (k, 2) of travel and turns of one of the two, and their sums (n, 2) in steady windows."""
+    def rates(self, i: int, lag_s: tuple[float, float] | None = None) -> tuple[Array, Callable[[Array], Array]]:
+        """Return rates (k, 2) of travel and turns of one of the two, and their sums (n, 2) in steady windows.
+
+        lag_s : time constant of a low-pass filter of the rates, and by how much later windows begin; those of `lags_s`
+            by default
+        """
         origin, starts = int(self.paths[0].stamps_ns[0]), self.motions[2]
         path, other = (travel_of(self.paths[k], origin) for k in (i, 1 - i))
         step_s = float(np.clip(3e-9 * np.median(np.diff(self.paths[i].stamps_ns)), _GRID_S, 0.5))
@@ -351,13 +359,33 @@ class Look:
         if not self.paths[1].headed:  # speeds of positions have the sign of the odometry's
             ahead = other.within(t_s + (starts[1 - i] - starts[i])[0], step_s)[:, 0] if i else rates[:, 0]
             rates[:, 0] = np.where(ahead < 0.0, -1.0, 1.0) * np.abs(rates[:, 0])
+        time_s, later_s = lag_s or self.lags_s[i]
+        keeps = np.exp(-step_s / max(time_s, 1e-3))
+        rates = np.asarray(lfilter((1.0 - keeps,), (1.0, -keeps), rates, axis=0))
         edges = np.append(t_s, t_s[-1] + step_s)
 
         def sums(of: Array) -> Array:
             whole = np.concatenate((np.zeros((1, 2)), np.cumsum(of * step_s, axis=0)))
-            return _Travel(edges, whole).within(starts[i][self.steady], self.window_s)
+            return _Travel(edges, whole).within(starts[i][self.steady] + later_s, self.window_s)
 
         return rates, sums
+
+    @cached_property
+    def lags_s(self) -> list[tuple[float, float]]:
+        """Time constants by which each of the two lags the other one's motions, zero where that explains little more.
+
+        Each is of the rates that are filtered, and beside the time by which they are then later than the other's.
+        """
+        found, few = [], bool(self.steady.sum() < 5 * _FEWEST)
+        for i, other in enumerate(self.windows[1::-1]):
+            motions, lost = other[self.steady, ::2], {}
+            for lag_s in () if few else _LAGS_S:
+                for later_s in np.arange(0.0, lag_s + 0.01, _GRID_S).tolist():
+                    rates, sums = self.rates(i, (lag_s, later_s))
+                    lost[lag_s, later_s] = unexplained(sums(rates), motions)[1]
+            best = min(lost, key=lost.__getitem__, default=(0.0, 0.0))
+            found.append(best if not few and lost[best] < min(0.5 * lost[0.0, 0.0], PLAIN) else (0.0, 0.0))
+        return found
 
     @cached_property
     def maps(self) -> tuple[MotionMap | None, MotionMap | None]:
@@ -902,9 +930,11 @@ def _late(look: Look) -> Figures | None:
     odometry, truth = (p.trajectory() for p in look.paths)
     corr = cross_correlation(odometry, truth, min(60.0, look.paths[0].span_s / 2.0))
     near = np.abs(corr.lag_s) <= CLOCK_S
-    best, here = int(np.argmax(corr.both)), float(corr.both[near].max())
-    most, lag_s = float(corr.both[best]), float(corr.lag_s[best])
-    if most < max(0.7, here + 0.25, float(corr.mirrored[near].max()) + 0.02):
+    # positions alone, noisy or of turns on the spot, show turns badly
+    alike, more = (corr.both, 0.25) if look.paths[1].headed or corr.both.max() > 0.7 else (corr.speed, 0.2)
+    best, here = int(np.argmax(alike)), float(alike[near].max())
+    most, lag_s = float(alike[best]), float(corr.lag_s[best])
+    if most < max(0.7, here + more, float(corr.mirrored[near].max()) + 0.02):
         return None
     words = {"off": f"{abs(lag_s):.1f}", "side": "behind" if lag_s > 0.0 else "ahead of", "shift": f"{lag_s:.1f}"}
     return words | {"i": 1, "best": most, "near": here}
@@ -1289,22 +1319,34 @@ def _resets(look: Look, i: int) -> Figures | None:
     return {"where": where, "causes": said, "undo": lambda path: path} if 0 < len(jumps) <= _FEWEST else None
 
 
-def _lost_in_gaps(look: Look) -> Figures | None:
-    """Find odometry whose steps over gaps in its stamps are as long as those beside them."""
-    path = look.paths[0]
-    rows, dt_s = increments(path.trajectory().xyt).rows, np.diff(path.t_s)
-    every_s, size = max(float(np.median(dt_s)), path.span_s / len(path) / 2.0), np.abs(rows[:, 0])
-    gaps = np.flatnonzero(dt_s[1:-1] > 1.7 * every_s) + 1
-    beside = (size[gaps - 1] / dt_s[gaps - 1] + size[gaps + 1] / dt_s[gaps + 1]) / 2.0
-    used = np.minimum(size[gaps - 1], size[gaps + 1]) > _MOVING * np.percentile(size, 95.0)
-    gaps, expected = gaps[used], (beside * dt_s[gaps])[used]
-    if len(gaps) < _FEWEST or np.median(size[gaps] / expected) > 1.5 * np.median(every_s / dt_s[gaps]):
+def _publishers(look: Look, i: int) -> Figures | None:
+    """Find poses that jump and come back within some messages all the time."""
+    xy = look.paths[i].xyz[:, :2]
+    n = len(xy) - _FEWEST
+    far = np.linalg.norm([xy[k : n + k] - xy[:n] for k in range(1, _FEWEST)], axis=2) if n > 0 else np.zeros((2, 1))
+    # ticks that come and go at rest are small
+    back = (far[1:].min(axis=0) < 0.1 * far[0]) & (far[0] > max(_ARM_M, 0.02 * np.linalg.norm(xy.std(axis=0))))
+    found = {"i": i, "share": f"{back.mean():.0%}", "few": _FEWEST}
+    return found | {"far": float(np.median(far[0][back]))} if back.mean() > 0.2 else None
+
+
+def _time_step(look: Look) -> Figures | None:
+    """Find odometry that counts as much from one message to the next whatever the time between them."""
+    path, (here, there, (starts, _)) = look.paths[0], look.motions
+    speeds = [np.hypot(x[:, 0], x[:, 1]) for x in (here, there)]
+    used, number = moving(speeds[0]) & moving(speeds[1]), np.arange(len(path))
+    messages = np.interp(starts + look.window_s, path.t_s, number) - np.interp(starts, path.t_s, number)
+    every, ratio = np.log(look.window_s / messages[used]), np.log(speeds[1][used] / speeds[0][used])
+    low_s, high_s = np.exp(np.percentile(every, (5.0, 95.0))) if used.any() else (1.0, 1.0)
+    if used.sum() < 5 * _FEWEST or high_s < (1.0 + 2.0 * _ALIKE) * low_s:
         return None
-    rows[gaps] *= (dt_s[gaps] / every_s)[:, None]
-    # stamps of arrival have gaps in which nothing is lost
-    if look.having(0, _moved_by(path, rows)).sizes[0][2] > 0.7 * look.sizes[0][2]:
+    # the truth goes as many times as far as the time is longer
+    slope, corr = np.polyfit(every, ratio, 1)[0], np.corrcoef(every, ratio)[0, 1]
+    if abs(slope - 1.0) > 0.2 or corr < 0.8:
         return None
-    words = {"count": len(gaps), "lost": f"{dt_s[gaps].sum() - every_s * len(gaps):.0f}"}
+    step_s = float(np.exp(np.median(every - ratio)))
+    rows = increments(path.trajectory().xyt).rows * (np.diff(path.t_s) / step_s)[:, None]
+    words = {"low": 1e3 * float(low_s), "high": 1e3 * float(high_s), "step": 1e3 * step_s}
     return words | {"undo": lambda path: _moved_by(path, rows)}
 
 
@@ -1324,15 +1366,19 @@ def _stands(look: Look, i: int) -> Figures | None:
     here, there = look.motions[:2][:: 1 - 2 * i]
     moves = (speed := np.hypot(there[:, 0], there[:, 1])) > 0.5 * np.percentile(speed, 95.0)
     # a truth has noise, also of a robot that is blocked
-    size = np.column_stack((np.hypot(here[:, 0], here[:, 1]), np.abs(here[:, 2])))
-    still = (size <= (1e-3, 0.04)[i] * np.percentile(size, 95.0, axis=0)).all(axis=1)
+    sizes = [np.column_stack((np.hypot(x[:, 0], x[:, 1]), np.abs(x[:, 2]))) for x in (here, there)]
+    usual = np.min([np.percentile(size, 95.0, axis=0) for size in sizes], axis=0)  # jumps of one are not usual
+    still = (sizes[0] <= (1e-3, 0.04)[i] * usual).all(axis=1)
     lost, runs = moves & still, runs_of(np.asarray(still))
     lost_s, share = float(lost.sum()) * look.window_s / 4.0, float(lost.sum()) / max(moves.sum(), 1)
-    if lost_s < 8.0 or (share < _CLOSE and all(moves[a:b].sum() * look.window_s <= 20.0 for a, b in runs)):
+    # a robot is blocked for shorter times than a driver fails; positions alone do not show its turns on the spot
+    least_s = 4.0 if i and look.headed else 8.0
+    if lost_s < least_s or (share < _CLOSE and all(moves[a:b].sum() * look.window_s <= 2.5 * least_s for a, b in runs)):
         return None
     for a, b in runs:  # a pose that stays is wrong also while the other one rests
         lost[a:b] |= lost[a:b].any()
-    return {"i": i, "lost": f"{lost_s:.0f}", "share": f"{share:.0%}", "undo": _without(look, i, lost)}
+    words = {"causes": _FROZEN[i], "lost": f"{lost_s:.0f}", "share": f"{share:.0%}"}
+    return {"i": i, **words, "undo": _without(look, i, lost)}
 
 
 def _without(look: Look, i: int, lost: NDArray[np.bool_]) -> Callable[[Samples], Samples]:
@@ -1444,7 +1490,9 @@ def _unit_of_lengths(look: Look) -> Figures | None:
 
 
 def _ratios(look: Look, travel: bool, turn: bool, *, alike: bool = False) -> Figures | None:  # noqa: FBT001
-    """Find which of travel and turns are plainly wrong, by the same factor or not."""
+    """Find which of travel and turns are plainly wrong, by the same factor or not, unless they only lag."""
+    if look.lags_s != [(0.0, 0.0)] * 2:
+        return None
     v, w = look.scales
     # chords of positions smooth turns
     same = v.sure and w.sure and abs(v.value / w.value - 1.0) < (_ALIKE if look.paths[1].headed else 4.0 * _ALIKE)
@@ -1509,6 +1557,10 @@ COMMANDS = {
               "count the wheels"),
     "dead zone": ("odometry of commands, which the robot does not follow below this speed", "count the wheels"),
 }  # fmt: skip
+_FROZEN = (
+    "a driver that lost its wheels, and repeats a message",
+    "a robot that is blocked while its wheels spin, or beside odometry of commands; a tracker that lost its target",
+)
 _NO_SPOT = "a yaw rate by curvature times speed, or headings that are integrated above a speed alone"
 _KEPT = "the model has the factor, and is of this odometry as it is"
 
@@ -1525,15 +1577,18 @@ PATTERNS = (
             "{best})", "stamps in another unit, or counted at another rate; a simulation slower than its clock; a "
             "queue that grows, read slower than it is filled",
             "give stamps of one clock in seconds", "its stamps are multiplied by {factor}", _rate),
-    Pattern("gaps", "{who} lacks its motion in {count} gaps between its stamps, {lost} s in all",
-            "messages of increments since the last one, of which some are lost", "send counts or poses, not increments",
-            "its steps there are as fast as those beside them", _lost_in_gaps),
+    Pattern("time step", "{who} counts for each message as for {step} ms, though they come every {low} to {high} ms",
+            "v dt with a constant dt, whatever time the loop takes; increments since the last message, of which some "
+            "are lost", "measure dt by a clock; send counts or poses, not increments",
+            "its increments are multiplied by the time they took", _time_step),
     Pattern("inverse", "{who}: the inverses of its poses, not these, move as {other} does",
             "the fixed frame in the moving one is published (base -> odom, map in camera)",
             "invert the transform before publishing", "its poses are inverted", _inverse, alone=True),
     Pattern("overflow", "{who}: {count} jumps of the same size, {size} of one wheel",
             "{cause}", "subtract counts as signed integers of the counter's width, and stamps as whole numbers",
             "the jumps are taken out", _overflows, alone=True),
+    Pattern("publishers", "{who}: {share} of its poses jump by {far} m and back within {few} messages",
+            "several robots or nodes publish on one topic", "give each its own topic", "", _publishers, alone=True),
     Pattern("resets", "{who}: its pose jumps by {where}, and goes on from there",
             "{causes}", "keep pose and counts over a restart", "the parts are recordings of their own", _resets,
             alone=True),
@@ -1584,8 +1639,7 @@ PATTERNS = (
             "x += v cos(yaw) dt at a low rate", "use yaw halfway, or integrate at the rate of the wheels",
             "steps are taken as arcs, and not in the model", _euler, alone=True),
     Pattern("stands still", "{who} stands still for {lost} s while {other} moves ({share} of its motion)",
-            "a driver that lost its wheels, or a tracker its target, and repeats a message; wheels "
-            "that spin, or odometry of commands, while the robot is blocked", _RECORD,
+            "{causes}", _RECORD,
             "these stretches are left out", lambda look: _stands(look, 0) or _stands(look, 1)),
     Pattern("turns too far",
             "{who} turns by {most} deg and more between messages, {other} by {usual}: beyond 180 deg turns are lost",

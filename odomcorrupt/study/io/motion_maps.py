@@ -97,6 +97,16 @@ def linear(x: Array, y: Array) -> tuple[Array, float]:
     return np.asarray(matrix, dtype=np.float64), float(explained.min()) * float(used.mean() > 0.6)
 
 
+def unexplained(x: Array, y: Array) -> tuple[Array, float]:
+    """Return the matrix (2, 2) of y = M x of motions (n, 2), and the part of y that it leaves, root mean square."""
+    size = np.sqrt(np.mean(y**2, axis=0)) + 1e-9
+    # slight turns do not count as much as all travel, nor slight travel on the spot as all turns
+    size = np.maximum(size, size[::-1] * (0.03, 0.2))
+    matrix, _ = linear(x, y)
+    off = np.minimum(np.square((y - x @ matrix.T) / size), 1.0)
+    return matrix, float(np.sqrt(off.sum(axis=1).mean()))
+
+
 def best_map(rates: Array, sums: Callable[[Array], Array], motions: Array, signs: bool) -> MotionMap:  # noqa: FBT001
     """Return the map of rates (k, 2) with the smallest residual of motions (n, 2) in windows.
 
@@ -106,15 +116,10 @@ def best_map(rates: Array, sums: Callable[[Array], Array], motions: Array, signs
     # no robot is suddenly five times as fast as ever
     usual = [np.abs(x) <= 5.0 * np.percentile(np.abs(x), 95.0, axis=0) + 1e-9 for x in (motions, sums(rates))]
     kept = np.hstack(usual).all(axis=1)
-    size = np.sqrt(np.mean(motions[kept] ** 2, axis=0)) + 1e-9
-    # slight turns do not count as much as all travel, nor slight travel on the spot as all turns
-    size = np.maximum(size, size[::-1] * (0.03, 0.2))
 
     def fitted(one: MotionMap, rates: Array) -> MotionMap:
-        mapped = sums(one.of(rates))[kept]
-        matrix, _ = linear(mapped, motions[kept])
-        off = np.minimum(np.square((motions[kept] - mapped @ matrix.T) / size), 1.0)
-        return replace(one, residual=float(np.sqrt(off.sum(axis=1).mean())), matrix=matrix, without=without)
+        matrix, residual = unexplained(sums(one.of(rates))[kept], motions[kept])
+        return replace(one, residual=residual, matrix=matrix, without=without)
 
     def searched(rates: Array, kinds: tuple[str, ...]) -> MotionMap:
         groups, key = [some for some in _trials(rates) if some and some[0].kind in kinds], attrgetter("residual")

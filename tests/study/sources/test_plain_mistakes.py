@@ -437,10 +437,54 @@ def test_headings_that_are_clamped_and_motion_that_is_lost_in_gaps():
         look_at(trajectory(np.column_stack((rows[:, :2], np.diff(yaw)))), real(rows))
     kept = np.append(True, np.random.default_rng(1).random(len(rows)) > 0.3)
     lossy = trajectory(rows[kept[1:]]).stamped(path.stamps_ns[kept])
-    found = look_at(lossy, real(rows), "gaps")
+    found = look_at(lossy, real(rows), "time step")
     assert np.hypot(*(found.odometry.xyz[-1] - path.xyz[-1])[:2]) < 2.0
     # stamps of arrival that come late now and then
     look_at(path.stamped(path.stamps_ns + 19_000_000 * (np.arange(len(path)) % 9 == 4)), real(rows))
+
+
+def spells(every=600):
+    """Return the numbers of the messages that a loop of 50 Hz writes which takes three times as long now and then."""
+    number = np.arange(len(driven()))
+    return number[(number // every % 2 == 0) | (number % 3 == 0)]
+
+
+@pytest.mark.parametrize("headed", [True, False])
+def test_a_time_step_that_is_taken_for_constant(headed):
+    path, at = trajectory(rows := driven()), spells()
+    counted = trajectory(rows[at[1:]]).stamped(path.stamps_ns[at])
+    found = look_at(counted, real(rows, headed=headed), "time step")
+    assert "as for 20 ms, though they come every 20 to 60 ms" in found.mistakes[0].said
+    assert np.hypot(*(found.odometry.xyz[-1] - path.xyz[at[-1]])[:2]) < 1.0
+    look_at(path.only(np.isin(np.arange(len(path)), at)), real(rows, headed=headed))  # poses lose nothing
+
+
+def test_two_publishers_on_one_topic():
+    path = trajectory(rows := driven())
+    second = np.arange(len(path)) % 3 == 2
+    with pytest.raises(RecordingError, match=r"67% of its poses jump by 2\.24 m and back within 8 messages"):
+        look_at(replace(path, xyz=path.xyz + second[:, None] * [2.0, -1.0, 0.0]), real(rows))
+
+
+def test_a_filter_of_all_motions_is_no_dead_zone_nor_factor():
+    rows, lagging = driven(3), []
+    for row in rows:
+        lagging.append((lagging[-1] if lagging else np.zeros(3)) * (1.0 - 0.02 / 1.6) + row * 0.02 / 1.6)
+    look = Look((trajectory(np.array(lagging)), real(rows)))
+    assert look.lags_s[0] == (0.0, 0.0)
+    assert look.lags_s[1][0] == 1.6
+    look_at(*look.paths)
+
+
+def test_a_clock_that_is_late_beside_positions_of_turns_on_the_spot():
+    rng, rows = np.random.default_rng(2), []
+    while len(rows) < 250.0 * HZ:
+        rows += [(rng.uniform(0.2, 0.6), 0.0, 0.0)] * int(rng.uniform(2.0, 12.0) * HZ)
+        rows += [(0.0, 0.0, np.pi / 4.0)] * int(2.0 * HZ)
+    rows = np.array(rows)
+    late = real(rows / HZ, headed=False)
+    with pytest.raises(RecordingError, match=r"its clock is 18\.0 s ahead of the odometry's"):
+        look_at(trajectory(rows / HZ), late.stamped(late.stamps_ns + 18_000_000_000))
 
 
 @pytest.mark.parametrize("at", [0, 1])
