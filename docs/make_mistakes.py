@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from odomcorrupt.study.io.first_look import COMMANDS, COURSES, PATTERNS, THRESHOLDS
+from odomcorrupt.study.io.first_look import COMMANDS, OF_COURSES, PATTERNS, THRESHOLDS
 
 PAGE = Path(__file__).parent / "how-to" / "mistakes.md"
 HEAD = """# Plain mistakes
@@ -116,7 +116,7 @@ def page() -> str:
         rows.append(f"| {seen}{' (alone)' if pattern.alone else ''} | {causes} | {change} | {then or 'it ends here'} |")
     courses = (
         f"| {times} its headings | {' | '.join(one or '-' for one in said)} |"
-        for times, *said in list(COURSES.values())[1:]
+        for times, *said in list(OF_COURSES.values())[1:]
     )
     return HEAD + "\n".join(rows) + COURSES_HEAD + "\n".join(courses) + "\n"
 

@@ -25,8 +25,8 @@ from odomcorrupt.study.estimate.noise_likelihood import ODD
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.whitener import interval_covariance
 from odomcorrupt.study.io.clock import aligned
-from odomcorrupt.study.io.first_look import weighted_median
 from odomcorrupt.study.io.headings import with_recomputed_headings
+from odomcorrupt.study.io.motion_windows import weighted_median
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,18 +1,15 @@
 """First look at odometry and truth: plain mistakes of wiring, units, signs and axes, before any statistics.
 
-From sums of the motion over windows of some seconds come robust ratios, signs and correlations of the two trajectories,
-and the consistency of each with itself. Every mistake is one row of `PATTERNS`: what is seen, its usual causes, what to
+Every mistake is one row of `PATTERNS`: what is seen in the windows of `motion_windows`, its usual causes, what to
 change, and how the study goes on. A row that is found is undone and the rest is looked at again.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
-from scipy.signal import lfilter
 
 from odomcorrupt.drive_types import STEERED
 from odomcorrupt.effects import effect_from_values
@@ -21,7 +18,29 @@ from odomcorrupt.geometry.motion import step_of
 from odomcorrupt.geometry.se2 import Increments, accumulate, between, increments, wrap
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.study.io.jumps import reach_of, stretches
-from odomcorrupt.study.io.motion_maps import AGREE, PLAIN, STEERED_WHEELS, WHEELS, best_map, linear, unexplained
+from odomcorrupt.study.io.motion_maps import STEERED_WHEELS, WHEELS, linear
+from odomcorrupt.study.io.motion_windows import (
+    ARM_M,
+    ASKEW,
+    CLEAR,
+    CLOSE,
+    COURSES,
+    CURVED_RADPM,
+    DEGREE,
+    FEWEST_WINDOWS,
+    FOLLOWS,
+    MOVING,
+    UNCLEAR,
+    Look,
+    Travel,
+    chords_of,
+    concentration,
+    correlations_of,
+    heading_at_steps,
+    moving,
+    steady_motion,
+    travel_of,
+)
 from odomcorrupt.study.io.plausibility import check_pair, cross_correlation
 from odomcorrupt.study.io.raw_trajectory import (
     BACKWARDS,
@@ -42,55 +61,34 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.io.motion_maps import MotionMap
     from odomcorrupt.study.io.raw_trajectory import Samples
     from odomcorrupt.study.io.recording import Recording
 
-_LAGS_S = (0.0, 0.2, 0.4, 0.8, 1.6)
-"""Time constants of a filter, or of motors, that are tried."""
-_GRID_S = 0.1
-"""Step of the lags at which motions are compared."""
-_MOVING = 0.2
-"""Part of the usual largest motion from which a window counts as moving."""
-_FEWEST = 8
-"""Fewest windows in motion for a ratio, and directions of a path to compare with its headings."""
-_CLEAR, _UNCLEAR = 0.6, 0.4
-"""Correlations that two motions have, and do not have, if they are the same but for a factor. Of 19 recordings by
-others the better one of speed and yaw rate has at least 0.9."""
-_FOLLOWS = 0.9
-"""Agreement of headings with the path for a reading that is right; a wrong one has less than `_CLEAR`."""
 _WRONG, _SKIDS = 1.3, 1.9
 """Factors from which travel and turns are plainly wrong; skid steering turns up to 1.9 times less than its wheels."""
 _FEW_TURNS = 0.1
 """Usual turn in a window, rad, up to which turns are too few to compare."""
-_CLOSE, _CURVED_RADPM, _ARM_M = 0.15, 0.5, 0.03
-"""Relative difference of motions that agree, and of turns on straights or travel on the spot: per metre or radian."""
 _ALIKE = 0.06
 """Relative difference of two factors that are the same."""
 _BENT_RAD = 0.1
 """Turn of a step from which it matters how its travel is directed."""
-_ASKEW = 0.5
-"""Angle between axes, rad, beyond which it is no error of a mounting."""
 _LOST = 2.0
 """Turn between messages, rad, beyond which many exceed half a turn and are lost."""
 _FAST_MPS, _ROBOT_MPS = 60.0, 10.0
 """Speed that no robot has, and one that few have."""
-_DEGREE = 180.0 / np.pi
-COURSES = {
+OF_COURSES = {
     1.0: ("like", "", ""),
-    -1.0: (
-        "the other way than",
-        "compass headings; an axis mirrored",
-        "x and y exchanged, or one negated; rotated by -yaw",
-    ),
-    1.0 / _DEGREE: ("a 57th of", "degrees, not radians", "yaw in radians is converted to radians again"),
-    -1.0 / _DEGREE: ("minus a 57th of", "degrees of a compass (clockwise)", "another axis, and degrees"),
-    _DEGREE: ("57.3 times as far as", "radians that are read as degrees", "x += v cos(yaw) dt with yaw in degrees"),
+    -1.0: ("the other way than", "compass headings; an axis mirrored",
+           "x and y exchanged, or one negated; rotated by -yaw"),
+    1.0 / DEGREE: ("a 57th of", "degrees, not radians", "yaw in radians is converted to radians again"),
+    -1.0 / DEGREE: ("minus a 57th of", "degrees of a compass (clockwise)", "another axis, and degrees"),
+    DEGREE: ("57.3 times as far as", "radians that are read as degrees", "x += v cos(yaw) dt with yaw in degrees"),
     0.5: ("half as far as", "twice the angle (z = sin(yaw), w = cos(yaw))", "half of yaw in sine and cosine"),
     2.0: ("twice as far as", "half of the angle, as yaw for yaw / 2 in a quaternion", "steps are rotated by yaw twice"),
     0.0: ("never, unlike", "", "x += v dt: steps are not rotated by yaw, or by yaw converted to radians twice"),
-}
-"""How many times as far as its headings a path may turn; usual causes if the headings are wrong, and if the path is."""
+}  # fmt: skip
+"""How many times as far as its headings a path turns, one of `COURSES`, in words; usual causes if the headings are
+wrong, and if the path is."""
 UNITS = {"feet": 1.0 / 0.3048, "inches": 1.0 / 0.0254, "centimetres": 100.0, "millimetres": 1000.0}
 """Units of length that are confused with metres, per metre."""
 _LENGTHS = {per_m: f"{unit} for metres" for unit, per_m in UNITS.items()}
@@ -98,465 +96,8 @@ _OF_TRAVEL = _LENGTHS | {
     2.0: "diameter for radius, or one edge of the encoder counted instead of two", 4.0: "quadrature counted once",
     3.6: "km/h for m/s", 2.0 * np.pi: "2 pi left out", 30.0 / np.pi: "rpm for rad/s", 2.54: "inches for centimetres",
 }  # fmt: skip
-_OF_TURNS = _LENGTHS | {2.0: "half of it for the whole", _DEGREE: "degrees for radians"}
+_OF_TURNS = _LENGTHS | {2.0: "half of it for the whole", DEGREE: "degrees for radians"}
 """Likely causes of factors near these or their inverses."""
-
-
-class Ratio(NamedTuple):
-    """Ratio of the truth's motion to the odometry's in windows, its relative spread, and the number of windows."""
-
-    value: float = 1.0
-    spread: float = np.inf
-    number: int = 0
-
-    @property
-    def sure(self) -> bool:
-        """Whether windows are enough and alike."""
-        return self.value > 0.0 and self.number >= _FEWEST and self.spread < 0.5
-
-    def beyond(self, high: float, low: float = 0.0) -> bool:
-        """Return whether the ratio is above one factor, or below the inverse of that or of another one."""
-        return self.sure and not 1.0 / (low or high) <= self.value <= high
-
-
-def weighted_median(x: Array, weight: Array) -> float:
-    """Return the weighted median of values (n,)."""
-    total = np.cumsum(weight[np.argsort(x)])
-    return float(np.sort(x)[np.searchsorted(total, total[-1] / 2.0)])
-
-
-class _Travel(NamedTuple):
-    """Times (n,), and the sums (n, 3) of a trajectory's motion forwards, to the left and about z."""
-
-    t_s: Array
-    sums: Array
-
-    def within(self, starts_s: Array, window_s: float) -> Array:
-        """Return the motion (k, 3) in windows from times (k,)."""
-        edges = (starts_s, starts_s + window_s)
-        begin, end = (np.stack([np.interp(t, self.t_s, s) for s in self.sums.T], axis=1) for t in edges)
-        return np.asarray(end - begin)
-
-    def along_chords(self, t_s: Array) -> _Travel:
-        """Return the same motion with headings as those of central chords at even times (n,), means over two steps."""
-        whole = np.concatenate(([0.0], np.cumsum((self.sums[1:, 2] + self.sums[:-1, 2]) / 2.0 * np.diff(self.t_s))))
-        ends = [np.interp(t_s + k * (t_s[1] - t_s[0]), self.t_s, whole) for k in (1.0, -1.0)]
-        # beyond its ends the path has no mean; `motions` compares no window there
-        sums = np.stack([np.interp(t_s, self.t_s, x) for x in self.sums.T], axis=1)
-        return _Travel(t_s, np.column_stack((sums[:, :2], (ends[0] - ends[1]) / (2.0 * (t_s[1] - t_s[0])))))
-
-
-def travel_of(path: Samples, origin_ns: int) -> _Travel:
-    """Return the motion of a trajectory; positions without headings head along their chords, modulo pi."""
-    t_s, xyt = path.seconds_since(origin_ns), path.trajectory().xyt
-    forwards = 1.0
-    if not path.headed:
-        t_s, xyt = _along_chords(t_s, xyt[:, :2])
-        forwards = 1.0 if increments(xyt).ds_m.sum() >= 0.0 else -1.0
-    rows = increments(xyt).rows * [forwards, forwards, 1.0]
-    return _Travel(t_s, np.concatenate((np.zeros((1, 3)), np.cumsum(rows, axis=0))))
-
-
-def _along_chords(t_s: Array, xy: Array) -> tuple[Array, Array]:
-    """Return times and poses (k, 3) of positions, headed along chords that are long beside the positions' noise."""
-    step_s = max(float(np.median(np.diff(t_s))), 2.0 * _GRID_S)
-    while True:
-        grid = np.arange(t_s[0], t_s[-1], step_s)
-        own = np.stack([np.interp(grid, t_s, x) for x in xy.T], axis=1)
-        chord = np.gradient(own, axis=0) if len(grid) > 1 else 0.0 * own
-        length = np.linalg.norm(chord, axis=1)
-        usual = float(np.percentile(length, 90.0))
-        if usual > 15.0 * _noise(xy) or step_s > 2.0:
-            break
-        step_s *= 1.5
-    moves = length > _MOVING * usual
-    double = np.unwrap(2.0 * np.arctan2(chord[moves, 1], chord[moves, 0]))
-    return grid, np.column_stack((own, np.interp(grid, grid[moves], double / 2.0) if moves.any() else 0.0 * grid))
-
-
-class Own(NamedTuple):
-    """A trajectory by itself.
-
-    agreement : for each of `COURSES`, 1 if its path has the directions of its headings so multiplied, 0 if none
-    chords : number of directions compared
-    line : 1 if all its directions are along one line
-    fixed : 1 if its headings are constant or opposite
-    turned : extent of its headings, rad
-    askew : angle of its path to its headings, but for half a turn, rad, 0 if it does not follow them
-    step : usual largest turn from one message to the next, rad
-    """
-
-    agreement: tuple[float, ...] = (0.0,) * len(COURSES)
-    chords: int = 0
-    line: float = 0.0
-    fixed: float = 0.0
-    turned: float = 0.0
-    askew: float = 0.0
-    step: float = 0.0
-
-    @property
-    def straight(self) -> bool:
-        """Whether the path has directions and headings of one line alone."""
-        return self.turned < 1e-6 and self.chords >= _FEWEST and self.agreement[0] > _FOLLOWS
-
-
-def _concentration(angle: Array) -> float:
-    return float(np.abs(np.mean(np.exp(1j * angle)))) if len(angle) else 0.0
-
-
-def own_of(path: Samples) -> Own:
-    """Return the numbers of a trajectory by itself.
-
-    Chords of a path point along its headings or straight backwards, up to a constant mounting angle, so twice their
-    difference is constant.
-    """
-    course, middle = _chords(path.xyz[:, :2])
-    line = _concentration(2.0 * course)
-    if not path.headed:
-        return Own(line=line)
-    readings = [path.yaw_rad[middle], np.unwrap(path.yaw_rad)[middle]]
-    agreement = [max(_concentration(2.0 * (course - k * yaw)) for yaw in readings) for k in COURSES]
-    # along a chord, headings in degrees have all directions
-    agreement[list(COURSES).index(_DEGREE)] = _courses(path, _DEGREE)[1]
-    fixed = _concentration(2.0 * path.yaw_rad)
-    askew = float(np.angle(np.mean(np.exp(2j * (course - path.yaw_rad[middle]))))) / 2.0 if len(course) else 0.0
-    askew *= agreement[0] > _FOLLOWS
-    turned, step = float(np.ptp(np.unwrap(path.yaw_rad))), np.percentile(np.abs(wrap(np.diff(path.yaw_rad))), 95.0)
-    return Own(tuple(agreement), len(course), line, fixed, turned, askew, float(step))
-
-
-def _courses(path: Samples, factor: float, beside: Array | float = 0.0) -> tuple[Array, float]:
-    """Return a multiple of the headings at that part of each step (n - 1,) where it fits steps best, and how well.
-
-    beside : directions of the steps from that heading, rad, of a robot that drives sideways
-    """
-    place, parts = path.xyz[:, :2] @ [1.0, 1j], (0.0, 0.5, 1.0)
-    yaws = factor * np.array((path.yaw_rad, np.unwrap(path.yaw_rad)))
-    # directions are those of chords that are long beside noise, unless the heading turns too far along them
-    usual, far = np.median(np.abs(np.diff(place))), isinstance(beside, np.ndarray) and abs(factor) <= 2.0
-    every = min(int(15.0 * _noise(path.xyz[:, :2]) / max(usual, 1e-9)), len(path) // 20) if far else 1
-    rows = np.arange(0, len(path), max(every, 1))
-    aside = beside[rows[:-1]] if isinstance(beside, np.ndarray) else 0.0
-    angle, moves = np.angle(step := np.diff(place[rows])), moving(np.abs(step))
-    # the steps of a mirrored path are on the other side of its headings
-    sides = [aside, -aside] if factor == -1.0 and far else [aside]
-    fits = [
-        max(_concentration(2.0 * (angle - side - yaw[rows[:-1]] - part * np.diff(yaw[rows]))[moves]) for side in sides)
-        for yaw in yaws for part in parts
-    ]  # fmt: skip
-    best = int(np.argmax(fits))
-    yaw = yaws[best // len(parts)]
-    return yaw[:-1] + parts[best % len(parts)] * np.diff(yaw), fits[best]
-
-
-def _chords(xy: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Return the angles of chords (k,) of a path (n, 2), a fortieth of its extent long, and samples in the middle."""
-    extent = float(np.linalg.norm(np.diff(np.percentile(xy, [16.0, 84.0], axis=0), axis=0))) / 2.0
-    length = max(extent / 40.0, 15.0 * _noise(xy), 1e-6)
-    picked, at = [0], 0
-    # The travelled distance only bounds the chord from above: continue until the chord itself is long enough.
-    gone = distance_along(xy)
-    while (at := int(np.searchsorted(gone, gone[at] + length))) < len(xy):
-        if np.linalg.norm(xy[at] - xy[picked[-1]]) > length / 2.0:
-            picked.append(at)
-    ends = np.array(picked)
-    chord = np.diff(xy[ends], axis=0)
-    return np.arctan2(chord[:, 1], chord[:, 0]), (ends[:-1] + ends[1:]) // 2
-
-
-def _noise(xy: Array) -> float:
-    return float(np.median(np.abs(np.diff(xy, n=2, axis=0)))) if len(xy) > 2 else 0.0
-
-
-class Witness(NamedTuple):
-    """Turns by a third source, a gyro or wheels: increasing stamps (n,), and angles (n,) of any scale.
-
-    independent : whether the odometry is not made of it, so that it may contradict the truth
-    """
-
-    name: str
-    stamps_ns: NDArray[np.int64]
-    angle: Array
-    independent: bool
-
-
-@dataclass(frozen=True, eq=False)
-class Look:
-    """Odometry and truth, and numbers of both.
-
-    paths : odometry and truth
-    witnesses : other sources of turns, read only if the two contradict each other
-    track_m : as given
-    """
-
-    paths: tuple[Samples, Samples]
-    witnesses: Callable[[], Sequence[Witness]] = tuple
-    track_m: float | None = None
-
-    @cached_property
-    def own(self) -> tuple[Own, Own]:
-        """Each trajectory by itself."""
-        return own_of(self.paths[0]), own_of(self.paths[1])
-
-    @property
-    def window_s(self) -> float:
-        """Length of the windows, s: four samples of either trajectory and more."""
-        return float(np.clip(4e-9 * max(float(np.median(np.diff(p.stamps_ns))) for p in self.paths), 1.0, 8.0))
-
-    @cached_property
-    def motions(self) -> tuple[Array, Array, tuple[Array, Array]]:
-        """Motions (n, 3) of odometry and truth in windows, and their times in each, at the lag that fits best."""
-        origin, window_s = int(self.paths[0].stamps_ns[0]), self.window_s
-        one, other = (travel_of(p, origin) for p in self.paths)
-        if not self.paths[1].headed:
-            one = one.along_chords(other.t_s)
-        first, last = max(one.t_s[0], other.t_s[0]), min(one.t_s[-1], other.t_s[-1]) - window_s
-        margin_s = min(CLOCK_S, (last - first) / 4.0)
-        starts = np.arange(first + margin_s, last - margin_s, window_s / 4.0)
-        here, found = one.within(starts, window_s), [(-np.inf, -np.inf, 0.0)]
-        for lag_s in np.arange(-margin_s, margin_s, _GRID_S).tolist():
-            pair = [here, other.within(starts + lag_s, window_s)]
-            sizes = [np.abs(np.column_stack((x[:, 0] + 1j * x[:, 1], 0.0 * x[:, 0], x[:, 2]))) for x in pair]
-            each = [_correlations(*pair), _correlations(*(x - x.mean(axis=0) for x in sizes))]
-            found.append((*(float(np.sum(c[::2, ::2] ** 2)) - 1e-3 * abs(lag_s) for c in each), lag_s))
-        # of positions alone, and of motions whose sign is lost, only sizes are alike
-        signed, sized, _ = np.max(found, axis=0)
-        by_size = not self.paths[1].headed or sized > signed + 0.5
-        lag_s = max(found, key=lambda one: one[int(by_size)])[-1]
-        return here, other.within(starts + lag_s, window_s), (starts, starts + lag_s)
-
-    @cached_property
-    def windows(self) -> tuple[Array, Array, tuple[Array, Array]]:
-        """The same, but beside positions alone speeds with the odometry's sign, and turns between long chords only."""
-        if self.paths[1].headed:
-            return self.motions
-        pair, times = self.motions[:2], self.motions[2]
-        sign = np.where(pair[0][:, 0] < 0.0, -1.0, 1.0)
-        speeds = [sign * np.hypot(x[:, 0], x[:, 1]) for x in pair]
-        here, there = (np.column_stack((v, 0.0 * v, x[:, 2] * self.steady)) for v, x in zip(speeds, pair, strict=True))
-        return here, there, times
-
-    @cached_property
-    def steady(self) -> NDArray[np.bool_]:
-        """Windows (n,) in which turns are seen: all beside headings, those between long chords beside positions."""
-        pair = self.motions[:2]
-        if self.paths[1].headed:
-            return np.ones(len(pair[0]), dtype=bool)
-        one, other = (moving(np.hypot(x[:, 0], x[:, 1])) for x in pair)
-        return np.asarray(one & _steady(other & (np.abs(pair[0][:, 1]) < 0.3 * np.abs(pair[0][:, 0]))))
-
-    def rates(self, i: int, lag_s: tuple[float, float] | None = None) -> tuple[Array, Callable[[Array], Array]]:
-        """Return rates (k, 2) of travel and turns of one of the two, and their sums (n, 2) in steady windows.
-
-        lag_s : time constant of a low-pass filter of the rates, and by how much later windows begin; those of `lags_s`
-            by default
-        """
-        origin, starts = int(self.paths[0].stamps_ns[0]), self.motions[2]
-        path, other = (travel_of(self.paths[k], origin) for k in (i, 1 - i))
-        step_s = float(np.clip(3e-9 * np.median(np.diff(self.paths[i].stamps_ns)), _GRID_S, 0.5))
-        t_s = np.arange(path.t_s[0], path.t_s[-1] - step_s, step_s)
-        rates = path.within(t_s, step_s)[:, ::2] / step_s
-        if not self.paths[1].headed:  # speeds of positions have the sign of the odometry's
-            ahead = other.within(t_s + (starts[1 - i] - starts[i])[0], step_s)[:, 0] if i else rates[:, 0]
-            rates[:, 0] = np.where(ahead < 0.0, -1.0, 1.0) * np.abs(rates[:, 0])
-        time_s, later_s = lag_s or self.lags_s[i]
-        keeps = np.exp(-step_s / max(time_s, 1e-3))
-        rates = np.asarray(lfilter((1.0 - keeps,), (1.0, -keeps), rates, axis=0))
-        edges = np.append(t_s, t_s[-1] + step_s)
-
-        def sums(of: Array) -> Array:
-            whole = np.concatenate((np.zeros((1, 2)), np.cumsum(of * step_s, axis=0)))
-            return _Travel(edges, whole).within(starts[i][self.steady] + later_s, self.window_s)
-
-        return rates, sums
-
-    @cached_property
-    def lags_s(self) -> list[tuple[float, float]]:
-        """Time constants by which each of the two lags the other one's motions, zero where that explains little more.
-
-        Each is of the rates that are filtered, and beside the time by which they are then later than the other's.
-        """
-        found, few = [], bool(self.steady.sum() < 5 * _FEWEST)
-        for i, other in enumerate(self.windows[1::-1]):
-            motions, lost = other[self.steady, ::2], {}
-            for lag_s in () if few else _LAGS_S:
-                for later_s in np.arange(0.0, lag_s + 0.01, _GRID_S).tolist():
-                    rates, sums = self.rates(i, (lag_s, later_s))
-                    lost[lag_s, later_s] = unexplained(sums(rates), motions)[1]
-            best = min(lost, key=lost.__getitem__, default=(0.0, 0.0))
-            found.append(best if not few and lost[best] < min(0.5 * lost[0.0, 0.0], PLAIN) else (0.0, 0.0))
-        return found
-
-    @cached_property
-    def maps(self) -> tuple[MotionMap | None, MotionMap | None]:
-        """Maps of the truth's motions that make the odometry's, and the reverse, None where a matrix is as good."""
-        if self.steady.sum() < 5 * _FEWEST or self.sideways or (self.paths[1].headed and self.strafes):
-            return None, None
-        pair = [motions[self.steady, ::2] for motions in self.windows[:2]]
-        found = [best_map(*self.rates(1 - i), motions, signs=i == 0) for i, motions in enumerate(pair)]
-        one = found[i := int(found[1].residual < found[0].residual)]
-        changed = self.changed(one, 1 - i)
-        rest = ~changed & moving(self.windows[:2][1 - i][self.steady, 0])
-        clear = one.without > AGREE and one.residual < min(0.4, (0.5, 0.6)[int(one.without > PLAIN)] * one.without)
-        # it acts several times, and not always; beside motions that nearly agree it needs no other factor
-        clear &= one.without > PLAIN or bool(np.abs(np.diag(one.matrix) - 1.0).max() < 0.1)
-        if not clear or len(runs_of(changed)) < 3 or rest.sum() < _FEWEST:
-            return None, None
-        return (None, one) if i else (one, None)
-
-    def changed(self, one: MotionMap, i: int = 1) -> NDArray[np.bool_]:
-        """Return in which of the steady windows a map changes the motion of one of the two."""
-        rates, sums = self.rates(i)
-        before, after = sums(rates), sums(one.of(rates))
-        far = np.abs(after - before) > _CLOSE * np.percentile(np.abs(before), 80.0, axis=0)
-        return np.asarray(far.any(axis=1))
-
-    @cached_property
-    def seen(self) -> NDArray[np.bool_]:
-        """Windows (n,) in which both have poses; motions are interpolated over gaps."""
-        origin, times = int(self.paths[0].stamps_ns[0]), self.motions[2]
-        ends = [
-            np.searchsorted(path.seconds_since(origin), np.array((t_s, t_s + self.window_s)))
-            for path, t_s in zip(self.paths, times, strict=True)
-        ]
-        return np.asarray((np.diff(ends, axis=1) > 1).all(axis=(0, 1)))
-
-    def chords(self, i: int, ends: Array) -> Array:
-        """Return complex displacements (k - 1, n) of one of the two between ends (k,) in windows from their starts."""
-        at_s, path = self.motions[2][i] + self.window_s * ends[:, None], self.paths[i]
-        places = np.interp(at_s, path.seconds_since(int(self.paths[0].stamps_ns[0])), path.xyz[:, :2] @ [1.0, 1j])
-        return np.asarray(np.diff(places, axis=0))
-
-    @cached_property
-    def correlations(self) -> Array:
-        """Correlations (3, 3) through the origin of v, vy, omega of the two; on the spot of omega alone."""
-        (travel, turn), c = self.sizes, _correlations(*self.windows[:2])
-        return c if travel[:2].max() > _ARM_M * turn[:2].min() else c * np.diag((0.0, 0.0, 1.0))
-
-    def ratio(self, axis: int, side: int = 0, by: int | None = None) -> Ratio:
-        """Return the ratio of the truth's motion along an axis to the odometry's, a weighted median of windows.
-
-        side, by : sign of the odometry's motion along an axis, the same one by default, in these windows
-        """
-        here, there, _ = self.windows
-        used = moving(here[:, axis]) & moving(here[:, axis if by is None else by], side) & (here[:, axis] != 0.0)
-        if not used.any():
-            return Ratio()
-        each, weight = there[used, axis] / here[used, axis], np.abs(here[used, axis])
-        value = weighted_median(each, weight)
-        return Ratio(value, 1.48 * weighted_median(np.abs(each - value), weight) / max(abs(value), 1e-12), len(each))
-
-    @cached_property
-    def scales(self) -> tuple[Ratio, Ratio]:
-        """Ratios of travel forwards and of turns."""
-        travel, turn = (self.ratio(k) if self.correlations[k, k] > _CLEAR else Ratio() for k in (0, 2))
-        return travel, turn
-
-    @cached_property
-    def sizes(self) -> tuple[Array, Array]:
-        """Usual travel (3,), m, and turn (3,), rad, in windows of the odometry, of the truth, and of the difference."""
-        here, there, _ = self.windows
-        every = np.square((here, there, there - here))
-        return np.sqrt(every[:, :, :2].sum(axis=2).mean(axis=1)), np.sqrt(every[:, :, 2].mean(axis=1))
-
-    def having(self, i: int, path: Samples) -> Look:
-        """Return the look with another path for one of the two."""
-        return replace(self, paths=(self.paths[0], path) if i else (path, self.paths[1]))
-
-    def turns_by(self, i: int, factor: float) -> float:
-        """Return how well one turns by a factor times the other from pose to pose, but for whole turns: 1 if so."""
-        path, other = self.paths[i], self.paths[1 - i]
-        times = self.having(i, path.without_headings()).motions[2]
-        origin = int(self.paths[0].stamps_ns[0])
-        at_s = path.seconds_since(origin) + (times[1 - i] - times[i])[0]
-        turned = np.interp(at_s, other.seconds_since(origin), np.unwrap(other.yaw_rad))
-        return _concentration(np.diff(path.yaw_rad) - factor * np.diff(turned))
-
-    @property
-    def headed(self) -> bool:
-        """Whether these are two trajectories with headings."""
-        return self.paths[0] is not self.paths[1] and all(path.headed for path in self.paths)
-
-    def one_sided(self, i: int) -> bool:
-        """Return whether nearly all turns of one of the two are to one side."""
-        few, many = sorted(np.sum(moving(self.windows[:2][i][:, 2], side)) for side in (1, -1))
-        return bool(few < 0.1 * many)
-
-    def directions(self, i: int) -> Array | float:
-        """Return the other one's direction of travel in its own frame, rad, in each step of a path; 0 if ahead."""
-        motion, path = self.motions[:2][1 - i], self.paths[i]
-        follows = max(self.own[1 - i].fixed, self.own[i].agreement[0]) > _FOLLOWS
-        if follows or motion[:, 1].std() < 0.3 * motion[:, 0].std():
-            return 0.0
-        at_s = path.seconds_since(int(self.paths[0].stamps_ns[0]))
-        middle_s = (at_s[1:] + at_s[:-1] - self.window_s) / 2.0
-        ahead, aside = (np.interp(middle_s, self.motions[2][i], x) for x in motion[:, :2].T)
-        return np.asarray(np.arctan2(aside, ahead))
-
-    @property
-    def agree(self) -> bool:
-        """Whether travel and turns agree in usual windows, beside what a lever arm or a slight curvature changes."""
-        travel, turn = self.sizes
-        if not self.paths[1].headed and abs(self.own[0].askew) > _ASKEW:
-            return False
-        close = turn[2] < _CLOSE * max(*turn[:2], _CURVED_RADPM * travel[:2].min())
-        return bool(close and travel[2] < _CLOSE * max(*travel[:2], _ARM_M * turn[:2].min()))
-
-    @property
-    def speeds_mps(self) -> list[float]:
-        """Mean speeds of the two."""
-        return [float(np.hypot(*x[:, :2].T).mean()) / self.window_s for x in self.motions[:2]]
-
-    @property
-    def sideways(self) -> bool:
-        """Whether the odometry drives sideways, too."""
-        return bool(np.std(self.motions[0][:, 1]) > 0.1 * np.sqrt(np.mean(self.motions[0][:, 0] ** 2)))
-
-    @cached_property
-    def strafes(self) -> bool:
-        """Whether the truth drives sideways, beyond what a point off the centre does in turns."""
-        there = self.motions[1]
-        aside = there[:, 1:2] - there[:, ::2] @ linear(there[:, ::2], there[:, 1:2])[0].T
-        return bool(aside.std() > 0.1 * np.sqrt(np.mean(there[:, 0] ** 2)))
-
-    def at_fault(self) -> tuple[int | None, str]:
-        """Return which one turns the wrong way according to a third source, if any does, and that source."""
-        here, there, (starts, _) = self.windows
-        origin = int(self.paths[0].stamps_ns[0])
-        for one in self.witnesses():
-            t_s = (one.stamps_ns - origin) * 1e-9
-            turned = np.interp(starts + self.window_s, t_s, one.angle) - np.interp(starts, t_s, one.angle)
-            agrees = [float(_correlations(np.column_stack((turned,) * 3), x)[0, 2]) for x in (here, there)]
-            fault = int(agrees[1] < agrees[0])
-            if max(map(abs, agrees)) > _CLEAR and (one.independent or fault == 0):
-                return fault, one.name
-        return None, ""
-
-
-def _steady(moves: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return where windows (n,) and both neighbours that share no time with them move."""
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(moves, 4, constant_values=True), 9)
-    return np.asarray(around.all(axis=1))
-
-
-def moving(x: Array, side: int = 0) -> NDArray[np.bool_]:
-    """Return where a motion (n,) is clearly not at rest, on one side of zero if one is named."""
-    size = np.abs(x)
-    big = size > _MOVING * np.percentile(size, 95.0) if len(x) else size > 0.0
-    return np.asarray(big & (x * side > 0.0) if side else big)
-
-
-def _correlations(a: Array, b: Array) -> Array:
-    """Return the correlations (3, 3) through the origin of motions (n, 3), clipped at 1.5 times the largest."""
-
-    def scaled(x: Array) -> Array:
-        most = 1.5 * np.percentile(np.abs(x), 95.0, axis=0)
-        x = np.clip(x, -most, most)
-        size = np.sqrt(np.mean(x**2, axis=0))
-        return np.asarray(x / np.where(size > 1e-9, size, np.inf))
-
-    return np.asarray(scaled(a).T @ scaled(b) / max(len(a), 1))
-
 
 Figures: TypeAlias = dict[str, Any]
 """Figures of a mistake for its texts. `i` is the path at fault, 0 for the odometry (default) and 1 for the truth;
@@ -675,26 +216,26 @@ def _factor_of_course(look: Look, i: int, beside: Array | float) -> float | None
     beside : directions of its steps from its heading, 0 if it drives ahead
     """
     own, other, path, (travel, turn) = look.own[i], look.own[1 - i], look.paths[i], look.scales
-    sideways, line = isinstance(beside, np.ndarray), min(own.line, other.line) > _FOLLOWS
-    fits = tuple(_courses(path, k, beside)[1] for k in COURSES) if sideways else own.agreement
+    sideways, line = isinstance(beside, np.ndarray), min(own.line, other.line) > FOLLOWS
+    fits = tuple(heading_at_steps(path, k, beside)[1] for k in COURSES) if sideways else own.agreement
     # between messages an angle in degrees turns as 57.3 times the other one does, also if it has no way along the path,
     # unless it travels as many times as far: that is a radius
-    unit = not turn.sure or abs(np.log(turn.value ** (2 * i - 1) / _DEGREE)) < _CLOSE
+    unit = not turn.sure or abs(np.log(turn.value ** (2 * i - 1) / DEGREE)) < CLOSE
     unit = unit and not (travel.sure and turn.sure and abs(np.log(travel.value / turn.value)) < _ALIKE)
-    off = [1.0 - look.turns_by(i, k) if look.headed and unit and fits[0] < _FOLLOWS else 1.0 for k in (_DEGREE, 1.0)]
-    if off[0] < min(1.0 - _FOLLOWS, off[1] / 3.0):
-        return 1.0 / _DEGREE
+    off = [1.0 - look.turns_by(i, k) if look.headed and unit and fits[0] < FOLLOWS else 1.0 for k in (DEGREE, 1.0)]
+    if off[0] < min(1.0 - FOLLOWS, off[1] / 3.0):
+        return 1.0 / DEGREE
     # all factors fit two paths along one line, whose turns show it; zero fits one of them
-    best = int(np.argmax(fits) if sideways or own.line < _FOLLOWS else len(fits) - 1)
+    best = int(np.argmax(fits) if sideways or own.line < FOLLOWS else len(fits) - 1)
     if line and look.headed and turn.sure:
-        best = int(np.argmin(np.abs(np.array(list(COURSES)) - turn.value)))
-    k = list(COURSES)[best]
+        best = int(np.argmin(np.abs(np.array(COURSES) - turn.value)))
+    k = COURSES[best]
     k = 0.0 if abs(k) < 0.1 and fits[-1] > fits[best] - 0.02 else k
     # how many times worse each path follows its headings than this multiple of them
     doubts = [(1.0 - one.agreement[0]) / (1.001 - one.agreement[best]) for one in look.own]
-    wrong = fits[0] < _CLEAR or (k != 0.0 and not sideways and doubts[i] > 4.0 > 4.0 * doubts[1 - i])
-    few = own.chords < _FEWEST or (k == 0.0 and (own.turned < 1.0 or line))
-    unlike = few or not wrong or fits[best] < _FOLLOWS or (k == -1.0 and own.step > _LOST)
+    wrong = fits[0] < CLEAR or (k != 0.0 and not sideways and doubts[i] > 4.0 > 4.0 * doubts[1 - i])
+    few = own.chords < FEWEST_WINDOWS or (k == 0.0 and (own.turned < 1.0 or line))
+    unlike = few or not wrong or fits[best] < FOLLOWS or (k == -1.0 and own.step > _LOST)
     return None if unlike else k
 
 
@@ -706,13 +247,13 @@ def _steps_and_headings(look: Look, i: int) -> Figures | None:
     if (k := _factor_of_course(look, i, beside)) is None:
         return None
     yaw = path.yaw_rad if np.ptp(path.yaw_rad) > 2.0 * np.pi + 0.01 else np.unwrap(path.yaw_rad)
-    step = np.diff(path.xyz[:, :2] @ [1.0, 1j]) * np.exp(-1j * _courses(path, k, beside)[0])
+    step = np.diff(path.xyz[:, :2] @ [1.0, 1j]) * np.exp(-1j * heading_at_steps(path, k, beside)[0])
     # a path that is mirrored, not rotated by -yaw, has its steps on the other side
-    aside = [_concentration(2.0 * (np.angle(x) - np.asarray(beside))) for x in (step, np.conj(step))]
+    aside = [concentration(2.0 * (np.angle(x) - np.asarray(beside))) for x in (step, np.conj(step))]
     step = np.conj(step) if k == -1.0 and aside[1] > aside[0] and isinstance(beside, np.ndarray) else step
     # how far the path is turned from these headings, but for half a turn
     askew = float(np.angle(np.mean((step * np.exp(-1j * np.asarray(beside))) ** 2))) / 2.0
-    turned, sideways = abs(askew) > _ASKEW, isinstance(beside, np.ndarray)
+    turned, sideways = abs(askew) > ASKEW, isinstance(beside, np.ndarray)
     step = step * np.exp(-1j * askew * (turned or not sideways))
     step = np.conj(step) if k == -1.0 and not sideways else step
     rows = np.column_stack((step.real, step.imag * sideways, wrap(np.diff(path.yaw_rad))))
@@ -721,9 +262,9 @@ def _steps_and_headings(look: Look, i: int) -> Figures | None:
     turns = [look.having(i, one).scales[1] for one in mended]
     far = [abs(float(np.log(turn.value))) if turn.sure else np.inf for turn in turns]
     right = int(k == 0.0 or far[1] < far[0])
-    times, *causes = COURSES[k]
+    times, *causes = OF_COURSES[k]
     then = (f"its headings are multiplied by {k:.3g}", "its path is made again of its steps and headings")[right]
-    if k == 1.0 / _DEGREE and not right and np.exp(far[0]) > _WRONG:  # several turns between messages
+    if k == 1.0 / DEGREE and not right and np.exp(far[0]) > _WRONG:  # several turns between messages
         mended[0], then = path.without_headings(), "its positions alone are used"
     said = "; ".join(filter(None, causes)) if path is look.paths[1 - i] else causes[right]
     which = f", and its {('path turns', 'headings turn')[right]} as {look.paths[1 - i].name}"
@@ -736,18 +277,18 @@ def _flips(look: Look, i: int) -> Figures | None:
     path = look.paths[i]
     turn, step = wrap(np.diff(path.yaw_rad)), np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
     sides = np.array((np.append(turn[1:], 0.0), np.append(0.0, turn[:-1])))
-    sudden = (np.abs(turn) > _ASKEW) & (np.abs(sides).max(axis=0) < 0.35)
+    sudden = (np.abs(turn) > ASKEW) & (np.abs(sides).max(axis=0) < 0.35)
     turn -= sudden * sides.mean(axis=0)  # the robot turns meanwhile
     alike = sudden & (np.abs(turn) > np.pi - 0.35) & (step < 3.0 * np.percentile(step, 95.0))
     jumps = np.flatnonzero(alike)
     steady = replace(path, yaw_rad=np.unwrap(path.yaw_rad))
     steady.yaw_rad[1:] -= np.cumsum(alike * np.sign(turn) * np.pi)
-    if not path.headed or look.own[i].fixed > _FOLLOWS or not len(jumps):
+    if not path.headed or look.own[i].fixed > FOLLOWS or not len(jumps):
         return None
-    if look.headed and abs(look.having(i, steady).correlations[2, 2]) < _UNCLEAR:
+    if look.headed and abs(look.having(i, steady).correlations[2, 2]) < UNCLEAR:
         return None
     # headings that are courses jump where a robot backs up
-    ends = np.clip(jumps + np.array(((-_FEWEST,), (0,), (1,), (1 + _FEWEST,))), 0, len(step))
+    ends = np.clip(jumps + np.array(((-FEWEST_WINDOWS,), (0,), (1,), (1 + FEWEST_WINDOWS,))), 0, len(step))
     before, _, after = np.diff(path.xyz[ends, :2], axis=0)
     on = np.sum(before * after, axis=1) > -0.5 * np.prod(np.linalg.norm((before, after), axis=2), axis=0)
     words = {"i": i, "count": len(jumps)}
@@ -758,7 +299,7 @@ def _flips(look: Look, i: int) -> Figures | None:
     mended = _moved_by(path, rows)
     other = look.having(i, mended)
     # where the other one backs up, headings are a course
-    if not look.headed or abs(other.correlations[0, 0]) < _CLEAR:
+    if not look.headed or abs(other.correlations[0, 0]) < CLEAR:
         return None
     if 1.0 - other.turns_by(i, 1.0) > (1.0 - look.turns_by(i, 1.0)) / 2.0:
         return None
@@ -767,21 +308,26 @@ def _flips(look: Look, i: int) -> Figures | None:
 
 def _folded(look: Look, i: int) -> Figures | None:
     """Find headings within half a turn whose sign is lost, unlike that of the path's directions."""
-    path, (course, middle) = look.paths[i], _chords(look.paths[i].xyz[:, :2])
-    if not path.headed or len(course) < 3 * _FEWEST or path.yaw_rad.min() < -_BENT_RAD or np.ptp(path.yaw_rad) < 2.0:
+    path, (course, middle) = look.paths[i], chords_of(look.paths[i].xyz[:, :2])
+    if (
+        not path.headed
+        or len(course) < 3 * FEWEST_WINDOWS
+        or path.yaw_rad.min() < -_BENT_RAD
+        or np.ptp(path.yaw_rad) < 2.0
+    ):
         return None
     ways = np.array((course, wrap(course + np.pi)))  # ahead, and backwards
     off = np.abs(np.abs(ways) - path.yaw_rad[middle])
-    follows, beside = (one.agreement[0] > _FOLLOWS for one in (look.own[i], look.own[1 - i]))
+    follows, beside = (one.agreement[0] > FOLLOWS for one in (look.own[i], look.own[1 - i]))
     far = np.percentile(off.min(axis=0), 80.0) > 2.0 * _BENT_RAD
-    one_sided = np.mean(np.where(off[0] < off[1], ways[0], ways[1]) < 0.0) < _MOVING
+    one_sided = np.mean(np.where(off[0] < off[1], ways[0], ways[1]) < 0.0) < MOVING
     return None if far or follows or (look.headed and not beside) or one_sided else {"i": i}
 
 
 def _ahead(look: Look, i: int, path: Samples) -> Samples:
     """Return a trajectory turned by half a turn if it drives backwards where the other one does not."""
     ahead_m = float(increments(path.trajectory().xyt).ds_m.sum())
-    back = look.having(i, path).correlations[0, 0] < -_CLEAR if look.headed else ahead_m < 0.0
+    back = look.having(i, path).correlations[0, 0] < -CLEAR if look.headed else ahead_m < 0.0
     return replace(path, yaw_rad=path.yaw_rad + np.pi) if back else path
 
 
@@ -792,7 +338,7 @@ def _euler(look: Look, i: int) -> Figures | None:
     bends = (np.abs(turn) > _BENT_RAD) & (np.abs(turn) < np.pi / 2.0)
     part = (np.arctan2(ahead * step[:, 1], ahead * step[:, 0]) / np.where(bends, turn, np.inf))[bends]
     travel = np.hypot(step[:, 0], step[:, 1])  # by which directions count, as turns on the spot have hardly any
-    if i or bends.sum() < 3 * _FEWEST or not travel[bends].any():
+    if i or bends.sum() < 3 * FEWEST_WINDOWS or not travel[bends].any():
         return None
     if np.average(np.abs(part - (k := round(float(np.median(part))))), weights=travel[bends]) > 0.02 or k not in (0, 1):
         return None
@@ -805,16 +351,16 @@ def _unrelated(look: Look, i: int) -> Figures | None:
     """Find headings that follow neither their own path nor the other trajectory."""
     own, other, beside = look.own[i], look.own[1 - i], look.paths[1 - i]
     undo = {"undo": lambda path: path.without_headings()} if i else {}
-    turns = other.turned > 0.5 if beside.headed else own.agreement[0] < _CLEAR
+    turns = other.turned > 0.5 if beside.headed else own.agreement[0] < CLEAR
     if not i and own.turned < 1e-6 and turns:
         return None if own.straight else {"i": i, "what": "never change"}
     # headings that are right beside wheels that are exchanged make one linear function of the two motions
-    few = min(own.chords, other.chords) < 3 * _FEWEST or linear(*look.motions[1::-1])[1] > _FOLLOWS
-    if few or max(own.agreement) > _CLEAR or other.agreement[0] < _FOLLOWS:
+    few = min(own.chords, other.chords) < 3 * FEWEST_WINDOWS or linear(*look.motions[1::-1])[1] > FOLLOWS
+    if few or max(own.agreement) > CLEAR or other.agreement[0] < FOLLOWS:
         return None
-    if abs(look.correlations[2, 2]) > _UNCLEAR:
+    if abs(look.correlations[2, 2]) > UNCLEAR:
         return None
-    what = "are 0 or 180 deg alone" if own.fixed > _FOLLOWS else "turn otherwise"
+    what = "are 0 or 180 deg alone" if own.fixed > FOLLOWS else "turn otherwise"
     return {"i": i, "what": what, **undo}
 
 
@@ -822,9 +368,9 @@ def _never_turns(look: Look) -> Figures | None:
     """Find odometry that does not turn; what it does where the truth turns on the spot shows why."""
     own, real, _ = look.sizes[1]
     corr, drives = look.correlations[2, 2], look.own[0].turned < 1.0 and look.scales[0].sure
-    still = own < 0.1 * real and not look.scales[1].sure and (drives or corr > -_UNCLEAR)
+    still = own < 0.1 * real and not look.scales[1].sure and (drives or corr > -UNCLEAR)
     # positions alone show it as a path in all directions beside one along a line
-    bent = not look.paths[1].headed and look.own[0].line > _FOLLOWS > _CLEAR > look.own[1].line
+    bent = not look.paths[1].headed and look.own[0].line > FOLLOWS > CLEAR > look.own[1].line
     bent = bent and not look.scales[1].sure
     if not bent and (real <= _FEW_TURNS or not (look.own[0].straight or still)):
         return None
@@ -850,14 +396,14 @@ def _stretched(look: Look) -> Figures | None:
     moves = moving(np.abs(own)) & moving(np.abs(real))
     course, ratio = 2.0 * np.angle(real[moves]), np.abs(own[moves] / real[moves]) ** 2
     design = np.column_stack((np.ones(len(course)), np.cos(course), np.sin(course)))
-    if len(course) < 3 * _FEWEST or _concentration(course) > _CLEAR:
+    if len(course) < 3 * FEWEST_WINDOWS or concentration(course) > CLEAR:
         return None
     # 1 / factor^2 varies as (mean - wave) / (mean + wave) with twice the course
     mean, *waves = linear(design, ratio[:, None])[0][0]
     wave, along = float(np.hypot(*waves)), float(np.arctan2(-waves[1], -waves[0])) / 2.0
     left, varies = (np.median(np.abs(ratio - x)) for x in (design @ [mean, *waves], np.median(ratio)))
     # what depends on the speed, too, is no factor
-    if not _CLOSE * mean < wave < 0.8 * mean or left > min(_CLEAR * varies, 0.1 * mean):
+    if not CLOSE * mean < wave < 0.8 * mean or left > min(CLEAR * varies, 0.1 * mean):
         return None
     factor = float(np.sqrt((mean + wave) / (mean - wave)))
     # the axis along which lengths agree is right
@@ -876,10 +422,10 @@ def _inverse(look: Look, i: int) -> Figures | None:
         turned = -(path.xyz[:, :2] @ [1.0, 1j]) * np.exp(-1j * path.yaw_rad)
         return replace(path, xyz=np.column_stack((turned.real, turned.imag, path.xyz[:, 2])), yaw_rad=-path.yaw_rad)
 
-    if abs(look.correlations[0, 0]) > _CLEAR or not look.headed:
+    if abs(look.correlations[0, 0]) > CLEAR or not look.headed:
         return None
     c = look.having(i, undo(look.paths[i])).correlations
-    return {"i": i, "undo": undo} if min(c[0, 0], c[2, 2]) > _FOLLOWS else None
+    return {"i": i, "undo": undo} if min(c[0, 0], c[2, 2]) > FOLLOWS else None
 
 
 def _rate(look: Look) -> Figures | None:
@@ -946,7 +492,7 @@ def _turns_late(look: Look) -> Figures | None:
     corr = cross_correlation(path, truth, min(8.0, look.paths[0].span_s / 4.0))
     turn_s, travel_s = (float(corr.lag_s[np.argmax(x)]) for x in (corr.turn, corr.speed))
     late_s, t_s = turn_s - travel_s, look.paths[0].t_s
-    if abs(late_s) < 0.6 or min(corr.turn.max(), corr.speed.max()) < _FOLLOWS:
+    if abs(late_s) < 0.6 or min(corr.turn.max(), corr.speed.max()) < FOLLOWS:
         return None
     rows = increments(path.xyt).rows
     rows[:, 2] = np.diff(np.interp(t_s + late_s, t_s, np.unwrap(path.xyt[:, 2])))
@@ -968,15 +514,15 @@ def _matrix(look: Look, axes: list[int]) -> tuple[Array, float]:
     trials = [there]
     if not look.paths[1].headed:  # speeds then have the sign of one of the odometry's motions
         speed = np.hypot(there[:, 0], there[:, 1])
-        used = _steady(moving(speed))
+        used = steady_motion(moving(speed))
         here, there, speed = here[used], there[used], speed[used]
         trials = [np.column_stack((np.sign(here[:, k]) * speed, 0.0 * speed, there[:, 2])) for k in (0, 2)]
-    if len(here) < _FEWEST:
+    if len(here) < FEWEST_WINDOWS:
         return np.eye(len(axes)), 0.0
     matrix, explained = max((linear(x[:, axes], here[:, axes]) for x in trials), key=lambda found: found[1])
     if matrix[0, -1] * matrix[-1, 0] < 0.0 and not look.paths[1].headed:
         matrix[:, 0] *= -1.0
-    own, real = (float(_correlations(x, x)[0, 2]) for x in (here, there))
+    own, real = (float(correlations_of(x, x)[0, 2]) for x in (here, there))
     if len(axes) > 2:
         return matrix, explained
     if abs(own) > 0.999:
@@ -985,9 +531,9 @@ def _matrix(look: Look, axes: list[int]) -> tuple[Array, float]:
         # odometry that pivots about one wheel, whatever the truth's turns: that wheel counts nothing
         curvature, explained = float(np.copysign(np.linalg.norm(here[:, 2]) / np.linalg.norm(here[:, 0]), own)), own**2
         matrix = matrix[0, 0] * np.array(((1.0, 1.0 / curvature), (curvature, 1.0)))
-    elif abs(matrix[0, 0]) < 0.1 and np.corrcoef(np.abs(here[:, 2]), np.hypot(*there.T[:2]))[0, 1] > _FOLLOWS:
+    elif abs(matrix[0, 0]) < 0.1 and np.corrcoef(np.abs(here[:, 2]), np.hypot(*there.T[:2]))[0, 1] > FOLLOWS:
         # turns that follow the truth's travel, beside which its turns are not seen: one wheel reversed
-        matrix, explained = np.array(((0.0, 1.0 / matrix[-1, 0]), (matrix[-1, 0], 0.0))), _FOLLOWS
+        matrix, explained = np.array(((0.0, 1.0 / matrix[-1, 0]), (matrix[-1, 0], 0.0))), FOLLOWS
     elif abs(matrix[1, 0]) > 1e-6 and look.paths[1].headed:
         # a tracked point to the left of the centre has a part of the turns in its travel
         left_m = (matrix[1, 1] - matrix[0, 0]) / matrix[1, 0]
@@ -1004,7 +550,7 @@ def _wheel_gains(look: Look) -> Figures | None:
     names, rolls = _WHEELS[2 * len(axes) - 2]
     matrix, explained = _matrix(look, axes)
     by_turn, by_travel = np.abs(matrix[:-1, -1]).sum(), np.abs(matrix[-1, :-1]).sum()
-    if explained < _FOLLOWS or look.correlations[0, 0] == 0.0 or not 1e-6 < by_turn < 2.0 * by_travel:
+    if explained < FOLLOWS or look.correlations[0, 0] == 0.0 or not 1e-6 < by_turn < 2.0 * by_travel:
         return None
     arm_m = np.array((*axes[1:], np.sqrt(by_turn / by_travel))) ** (np.array(axes) == 2)
     scaled = matrix / arm_m * arm_m[:, None]
@@ -1052,7 +598,7 @@ def _wheel_gains(look: Look) -> Figures | None:
 def _reversed(look: Look, turn: float) -> Figures | None:
     """Find odometry that drives backwards and turns as the truth does (1) or the other way (-1)."""
     c = look.correlations
-    wrong = look.paths[1].headed and c[0, 0] < -_CLEAR and c[2, 2] * turn > _CLEAR
+    wrong = look.paths[1].headed and c[0, 0] < -CLEAR and c[2, 2] * turn > CLEAR
     return {"undo": _by((-1.0, -1.0, turn))} if wrong else None
 
 
@@ -1062,15 +608,15 @@ def _turned_axes(look: Look) -> Figures | None:
     used = moving(np.abs(ways[0])) & moving(np.abs(ways[1]))
     apart = np.angle(ways[1] * np.conj(ways[0]))[used]
     angle = float(np.angle(np.mean(np.exp(1j * apart)))) if len(apart) else 0.0
-    clear = len(apart) >= _FEWEST and _concentration(apart) > _FOLLOWS and look.correlations[2, 2] > -_CLEAR
+    clear = len(apart) >= FEWEST_WINDOWS and concentration(apart) > FOLLOWS and look.correlations[2, 2] > -CLEAR
     if not look.paths[1].headed:
         angle = -look.own[0].askew
     elif not clear:
         return None
-    if not _ASKEW < abs(angle) < np.pi - _ASKEW / 2.0:
+    if not ASKEW < abs(angle) < np.pi - ASKEW / 2.0:
         return None
     aside = [float(np.std(x.imag) / np.std(x)) for x in ways]
-    i = int(aside[1] > max(aside[0], _UNCLEAR)) if look.paths[1].headed else 0
+    i = int(aside[1] > max(aside[0], UNCLEAR)) if look.paths[1].headed else 0
     turn = angle if i else -angle
     words = {"angle": f"{abs(np.degrees(turn)):.0f}", "side": "left" if turn > 0.0 else "right"}
     return {"i": i, **words, "undo": lambda p: replace(p, yaw_rad=p.yaw_rad + turn)}
@@ -1079,15 +625,15 @@ def _turned_axes(look: Look) -> Figures | None:
 def _aside(look: Look) -> Figures | None:
     """Find travel sideways of another sign or size while travel forwards and turns agree."""
     c, side, v = look.correlations, look.ratio(1), look.scales[0]
-    drives = look.strafes and all(np.std(x[:, 1]) > _MOVING * np.std(x[:, 0]) for x in look.windows[:2])
-    clear = min(abs(c[1, 1]), c[0, 0], c[2, 2]) > _CLEAR and side.number >= _FEWEST and side.spread < 0.5
-    if look.paths[1].headed and min(c[0, 0], c[2, 2]) > _CLEAR and not drives:
+    drives = look.strafes and all(np.std(x[:, 1]) > MOVING * np.std(x[:, 0]) for x in look.windows[:2])
+    clear = min(abs(c[1, 1]), c[0, 0], c[2, 2]) > CLEAR and side.number >= FEWEST_WINDOWS and side.spread < 0.5
+    if look.paths[1].headed and min(c[0, 0], c[2, 2]) > CLEAR and not drives:
         here, there = look.windows[0] * (v.value if v.sure else 1.0, 1.0, 1.0), look.windows[1]
         rest = (there[:, 1:2] - here[:, ::2] @ linear(here[:, ::2], there[:, 1:2])[0].T)[:, 0]
         rest = np.abs(np.convolve(rest, np.ones(8) / 8.0, "same"))  # noise of a localisation does not last
         usual = np.percentile(np.abs(there[:, 0]), 80.0)
         # where headings of the truth are turned for a while, it moves sideways only as the odometry drives
-        off = (rest > _MOVING * usual) & (rest < 2.0 * usual) & (np.abs(here[:, 0]) < rest / 2.0) & look.seen
+        off = (rest > MOVING * usual) & (rest < 2.0 * usual) & (np.abs(here[:, 0]) < rest / 2.0) & look.seen
         return {"how": "never moves sideways, unlike"} if off.mean() > 0.02 and here[:, 1].std() < 0.1 * usual else None
     size = abs(side.value) / v.value
     wrong = not 1.0 / _SKIDS < size < _WRONG
@@ -1100,11 +646,11 @@ def _aside(look: Look) -> Figures | None:
 def _exchanged(look: Look) -> Figures | None:
     c = look.correlations
     # a robot that hardly turns shows it by its travel sideways
-    corr = float(c[2, 2] if abs(c[2, 2]) > _UNCLEAR else c[1, 1])
-    if corr > -_CLEAR or c[0, 0] < _CLEAR or (look.one_sided(0) and not look.one_sided(1)):  # turns without a sign
+    corr = float(c[2, 2] if abs(c[2, 2]) > UNCLEAR else c[1, 1])
+    if corr > -CLEAR or c[0, 0] < CLEAR or (look.one_sided(0) and not look.one_sided(1)):  # turns without a sign
         return None
     fault, source = look.at_fault()
-    if c[1, 1] > _CLEAR:
+    if c[1, 1] > CLEAR:
         return {"corr": corr, "fault": "sideways they agree", "undo": _by((1.0, 1.0, -1.0))}
     words = "whether the odometry or the truth is wrong, these data do not show"
     if fault is not None:
@@ -1247,7 +793,7 @@ def _whole_steps(look: Look) -> Figures | None:
     # cut towards zero, or down
     sides = [np.sign(rows[:, 0]), np.abs(np.sign(rows[:, 0]))]
     counted = [step * np.concatenate(([0.0], np.cumsum(side * per))) for side in sides]
-    both = _Travel(path.t_s, np.stack(counted, axis=1)).within(starts, look.window_s).T
+    both = Travel(path.t_s, np.stack(counted, axis=1)).within(starts, look.window_s).T
     down = int(np.argmax([np.corrcoef(x[used], off[used])[0, 1] if np.ptp(x[used]) > 0.0 else -1.0 for x in both]))
     steps = both[down]
     # beside a scale error of some percent; windows overlap four times
@@ -1290,7 +836,7 @@ def _slow_turns(look: Look) -> Figures | None:
     zeros_s = np.concatenate(([0.0], np.cumsum(zero * (np.abs(rows[:, 0]) > 1e-6) * dt_s)))
     straight_s = np.interp(starts + window_s, path.t_s, zeros_s) - np.interp(starts, path.t_s, zeros_s)
     slow = (np.abs(here[:, 2]) < rate * window_s) & (straight_s > 0.3 * window_s)
-    if slow.sum() < 5 * _FEWEST:
+    if slow.sum() < 5 * FEWEST_WINDOWS:
         return None
     steady, missed = np.column_stack((here[slow, 0], np.ones(slow.sum()))), (there - here)[slow, 2]
     missed = missed - steady @ np.linalg.lstsq(steady, missed, rcond=None)[0]
@@ -1309,24 +855,24 @@ def _resets(look: Look, i: int) -> Figures | None:
     far = {int(own[0]): float(np.linalg.norm(path.xyz[own[0]] - path.xyz[own[0] - 1])) for own in rows[1:]}
     # where nothing is recorded meanwhile, a robot may have gone as far, but not to where it began
     gone = np.linalg.norm(path.xyz[:, :2] - path.xyz[0, :2], axis=1)
-    back = (gone[1:] < _ARM_M) & (gone[:-1] > 10.0 * _ARM_M) & (np.diff(path.t_s) > 0.5)
+    back = (gone[1:] < ARM_M) & (gone[:-1] > 10.0 * ARM_M) & (np.diff(path.t_s) > 0.5)
     far |= {int(k): float(gone[k - 1]) for k in np.flatnonzero(back) + 1 if i == 0}
-    jumps = {k: metres for k, metres in sorted(far.items()) if metres > 3.0 * _ARM_M}
+    jumps = {k: metres for k, metres in sorted(far.items()) if metres > 3.0 * ARM_M}
     where = ", ".join(f"{metres:.2f} m at {path.t_s[k]:.0f} s" for k, metres in jumps.items())
     causes = ["the node or the board was restarted; a counter was reset", "counts or speeds are read as unsigned"]
     alike = len(jumps) > 1 and max(jumps.values()) < (1.0 + _ALIKE / 2.0) * min(jumps.values())
     said = "; ".join(causes[:: -1 if alike else 1])
-    return {"where": where, "causes": said, "undo": lambda path: path} if 0 < len(jumps) <= _FEWEST else None
+    return {"where": where, "causes": said, "undo": lambda path: path} if 0 < len(jumps) <= FEWEST_WINDOWS else None
 
 
 def _publishers(look: Look, i: int) -> Figures | None:
     """Find poses that jump and come back within some messages all the time."""
-    xy = look.paths[i].xyz[:, :2]
-    n = len(xy) - _FEWEST
-    far = np.linalg.norm([xy[k : n + k] - xy[:n] for k in range(1, _FEWEST)], axis=2) if n > 0 else np.zeros((2, 1))
+    xy, few = look.paths[i].xyz[:, :2], 8
+    n = len(xy) - few
+    far = np.linalg.norm([xy[k : n + k] - xy[:n] for k in range(1, few)], axis=2) if n > 0 else np.zeros((2, 1))
     # ticks that come and go at rest are small
-    back = (far[1:].min(axis=0) < 0.1 * far[0]) & (far[0] > max(_ARM_M, 0.02 * np.linalg.norm(xy.std(axis=0))))
-    found = {"i": i, "share": f"{back.mean():.0%}", "few": _FEWEST}
+    back = (far[1:].min(axis=0) < 0.1 * far[0]) & (far[0] > max(ARM_M, 0.02 * np.linalg.norm(xy.std(axis=0))))
+    found = {"i": i, "share": f"{back.mean():.0%}", "few": few}
     return found | {"far": float(np.median(far[0][back]))} if back.mean() > 0.2 else None
 
 
@@ -1338,7 +884,7 @@ def _time_step(look: Look) -> Figures | None:
     messages = np.interp(starts + look.window_s, path.t_s, number) - np.interp(starts, path.t_s, number)
     every, ratio = np.log(look.window_s / messages[used]), np.log(speeds[1][used] / speeds[0][used])
     low_s, high_s = np.exp(np.percentile(every, (5.0, 95.0))) if used.any() else (1.0, 1.0)
-    if used.sum() < 5 * _FEWEST or high_s < (1.0 + 2.0 * _ALIKE) * low_s:
+    if used.sum() < 5 * FEWEST_WINDOWS or high_s < (1.0 + 2.0 * _ALIKE) * low_s:
         return None
     # the truth goes as many times as far as the time is longer
     slope, corr = np.polyfit(every, ratio, 1)[0], np.corrcoef(every, ratio)[0, 1]
@@ -1358,7 +904,7 @@ def _clamped(look: Look) -> Figures | None:
     at = np.abs(np.abs(path.yaw_rad)[:, None] / np.pi - (1.0, 2.0)).min(axis=1) < 1e-6
     stays = np.interp(starts + look.window_s / 2.0, path.t_s, at) > 0.9
     lost = stays & (np.abs(here[:, 2]) < 1e-6) & moving(there[:, 2])
-    return {"share": f"{lost.sum() / moving(there[:, 2]).sum():.0%}"} if lost.sum() >= _FEWEST else None
+    return {"share": f"{lost.sum() / moving(there[:, 2]).sum():.0%}"} if lost.sum() >= FEWEST_WINDOWS else None
 
 
 def _stands(look: Look, i: int) -> Figures | None:
@@ -1373,7 +919,7 @@ def _stands(look: Look, i: int) -> Figures | None:
     lost_s, share = float(lost.sum()) * look.window_s / 4.0, float(lost.sum()) / max(moves.sum(), 1)
     # a robot is blocked for shorter times than a driver fails; positions alone do not show its turns on the spot
     least_s = 4.0 if i and look.headed else 8.0
-    if lost_s < least_s or (share < _CLOSE and all(moves[a:b].sum() * look.window_s <= 2.5 * least_s for a, b in runs)):
+    if lost_s < least_s or (share < CLOSE and all(moves[a:b].sum() * look.window_s <= 2.5 * least_s for a, b in runs)):
         return None
     for a, b in runs:  # a pose that stays is wrong also while the other one rests
         lost[a:b] |= lost[a:b].any()
@@ -1394,7 +940,7 @@ def _other_way_round(look: Look) -> Figures | None:
     whole, lost = np.cumsum(off[::4]), np.abs(off) > 3.0 * _BENT_RAD  # windows overlap four times
     count = round(float(np.ptp(whole)) / (2.0 * np.pi)) if len(whole) else 0
     opposite = np.sum((here * there)[lost, 2]) < 0.0 and np.median(np.abs(off)) < min(count, 2) * _BENT_RAD
-    if not look.headed or not count or _concentration(whole) < 0.8 or not opposite:
+    if not look.headed or not count or concentration(whole) < 0.8 or not opposite:
         return None
     return {"count": count, "undo": _without(look, 0, lost)}
 
@@ -1414,7 +960,7 @@ def _one_curvature(look: Look) -> Figures | None:
     turning = np.abs(here[:, 2]) > 1e-6
     ahead = turning & moves & (np.abs(here[:, 0]) > np.abs(here[:, 1]))
     bend = _densest(here[ahead, 2] / here[ahead, 0], usual)
-    bend *= abs(bend) > _CURVED_RADPM  # a wheel is nearer than 2 m
+    bend *= abs(bend) > CURVED_RADPM  # a wheel is nearer than 2 m
     rate = _densest(here[turning, 2], usual)
     arcs = f"drives arcs of {1.0 / max(abs(bend), 1e-6):.2g} m to the {'left' if bend > 0.0 else 'right'}"
     quiet = 1e-6 + 0.02 * float(np.percentile(np.abs(there[:, 2]), 95.0))
@@ -1427,7 +973,7 @@ def _one_curvature(look: Look) -> Figures | None:
         turns = moving(off) & seen & (moves | ~own.any())
         runs = sorted(runs_of(np.asarray(np.abs(here[:, 2] - own) < quiet)), key=lambda run: -turns[slice(*run)].sum())
         lost = np.zeros(len(starts), dtype=bool)
-        for run in [run for run in runs if turns[slice(*run)].sum() >= _FEWEST]:
+        for run in [run for run in runs if turns[slice(*run)].sum() >= FEWEST_WINDOWS]:
             lost[slice(*run)] = True
         # a loose contact loses a wheel, and half of the travel, for some moments each
         ratios = [speeds[0][x & moves] / (speeds[1][x & moves] + 1e-9) for x in (lost, ~lost)]
@@ -1435,12 +981,12 @@ def _one_curvature(look: Look) -> Figures | None:
             lost[:] = False
             lost[slice(*(runs[0] if runs else (0, 0)))] = True
         many = turns[lost].sum()
-        few = many * look.window_s < 40.0 or turns.sum() - many < _FEWEST
+        few = many * look.window_s < 40.0 or turns.sum() - many < FEWEST_WINDOWS
         # noise of the truth's headings does not add up, and a gyro's dead band has no usual turns
         few = few or min(look.own[0].turned, np.ptp(off[lost].cumsum()) / 4.0) < 1.0
         # commands of even curvature follow there, and other mistakes do not elsewhere
-        follows = [abs(_correlations(here[x], there[x])[2, 2]) for x in (lost, ~lost)] if not few else [1.0, 1.0]
-        if follows[0] > _FOLLOWS or (look.paths[1].headed and follows[1] < _CLEAR):
+        follows = [abs(correlations_of(here[x], there[x])[2, 2]) for x in (lost, ~lost)] if not few else [1.0, 1.0]
+        if follows[0] > FOLLOWS or (look.paths[1].headed and follows[1] < CLEAR):
             continue
         parts = f", in {len(runs_of(lost))} parts" * (len(runs_of(lost)) > 1)
         when = f"from {starts[lost][0]:.0f} s to {starts[lost][-1] + look.window_s:.0f} s{parts}"
@@ -1468,7 +1014,7 @@ def _turns_too_far(look: Look) -> Figures | None:
     # between messages a robot that turns so fast drives an arc
     arcs_m = np.diff(distance_along(path.xyz[:, :2])) / np.sinc(wrap(np.diff(path.yaw_rad)) / (2.0 * np.pi))
     causes = ["wheel separation in other units (centimetres, millimetres)", "degrees for radians"]
-    if look.paths[1].headed and look.turns_by(0, _DEGREE) > look.turns_by(0, UNITS["centimetres"]):
+    if look.paths[1].headed and look.turns_by(0, DEGREE) > look.turns_by(0, UNITS["centimetres"]):
         causes.reverse()
     said, far = "; ".join(causes), float(arcs_m.sum()) / path.span_s / max(look.speeds_mps[1], 1e-9)
     if far > UNITS["feet"]:
@@ -1509,7 +1055,7 @@ def _ratios(look: Look, travel: bool, turn: bool, *, alike: bool = False) -> Fig
     if turn and abs(left.value - right.value) > 0.5 * w.value and look.paths[1].headed:
         # turns that differ by a part of the travel, as by a steering's zero, are no factor
         part, explained = linear(look.windows[0][:, ::2], look.windows[1][:, 2:])
-        if explained > _FOLLOWS and abs(np.log(max(part[0, 1], 1e-3))) < np.log(_WRONG):
+        if explained > FOLLOWS and abs(np.log(max(part[0, 1], 1e-3))) < np.log(_WRONG):
             return None
     beside = ", left and right alike" if left.sure and right.sure else ""
     if beside and abs(left.value / right.value - 1.0) > 2.0 * _ALIKE:

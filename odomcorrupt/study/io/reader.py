@@ -14,7 +14,7 @@ from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.trajectory import resolution_s
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.feedback import feedback_of
-from odomcorrupt.study.io.first_look import Look, Witness, first_look, mistakes_alone
+from odomcorrupt.study.io.first_look import first_look, mistakes_alone
 from odomcorrupt.study.io.fixes import without_float_episodes
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
 from odomcorrupt.study.io.jumps import without_excursions, without_outliers
@@ -27,6 +27,7 @@ from odomcorrupt.study.io.localisation import (
     is_of_base,
     spaced_by_motion,
 )
+from odomcorrupt.study.io.motion_windows import Look, Witness
 from odomcorrupt.study.io.plausibility import check_together
 from odomcorrupt.study.io.raw_trajectory import in_order
 from odomcorrupt.study.io.recording import sketch_of

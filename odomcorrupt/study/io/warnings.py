@@ -10,7 +10,7 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, wrap
-from odomcorrupt.study.io.first_look import Look, moving, travel_of
+from odomcorrupt.study.io.motion_windows import Look, moving, travel_of
 
 if TYPE_CHECKING:
     from odomcorrupt.study.io.feedback import Feedback

@@ -16,7 +16,8 @@ from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.brief import mistakes_first
 from odomcorrupt.simulation import Segment, Tracker, simulate
 from odomcorrupt.study.estimate.calibrate import fit_robot
-from odomcorrupt.study.io.first_look import Look, Witness, factors_of, first_look, mistakes_alone
+from odomcorrupt.study.io.first_look import factors_of, first_look, mistakes_alone
+from odomcorrupt.study.io.motion_windows import Look, Witness
 from odomcorrupt.study.io.plausibility import check_together, cross_correlation
 from odomcorrupt.study.io.reader import recordings_of
 from odomcorrupt.study.io.recording import Mistake

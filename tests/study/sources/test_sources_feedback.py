@@ -11,7 +11,8 @@ from sourcedrive import Rows, path, samples
 from odomcorrupt.geometry.se2 import between, compose, increments
 from odomcorrupt.study.io.encoders import encoder_effects
 from odomcorrupt.study.io.feedback import pull_of
-from odomcorrupt.study.io.first_look import Look, first_look
+from odomcorrupt.study.io.first_look import first_look
+from odomcorrupt.study.io.motion_windows import Look
 from odomcorrupt.study.io.reader import recordings_of
 
 RATE_HZ, SECONDS = 20.0, 200.0
