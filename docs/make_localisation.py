@@ -23,7 +23,7 @@ from odomcorrupt.effects.effect import amplitudes, check_bounds
 from odomcorrupt.export import Steady, amcl_alphas
 from odomcorrupt.model.model_file import format_model, read_model
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.report.plots.figure import BLUE, GREEN, ORANGE, RED, drawing, new_figure, rendered
+from odomcorrupt.report.plots.figure import BLUE, GREEN, ORANGE, RED, drawn, rendered
 from odomcorrupt.scoring.errors import Limits
 from odomcorrupt.scoring.run import ScoreReport, score
 
@@ -111,8 +111,7 @@ def _score(runs: Path, estimates: Path) -> ScoreReport:
 
 def draw(found: dict[str, list[ScoreReport]]) -> bytes:
     """Return the picture: error over drift for each setting."""
-    with drawing():
-        figure = new_figure(9.0, 4.6)
+    with drawn(9.0, 4.6) as figure:
         axes = figure.subplots()
         for (name, reports), colour in zip(found.items(), (RED, BLUE, ORANGE, GREEN), strict=False):
             drift = [np.median([100.0 * run.drift for run in report.runs]) for report in reports[:-1]]

@@ -24,7 +24,7 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.report.comparison import sentence
 from odomcorrupt.report.findings import dependence, value_text
-from odomcorrupt.report.plots.figure import BLUE, TRUTH, drawing, new_figure
+from odomcorrupt.report.plots.figure import BLUE, TRUTH, drawn
 from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.select.selection import learn
@@ -310,8 +310,7 @@ def overview(page: str) -> list[str]:
 
 def draw(clouds: dict[str, Replay], file: Path) -> None:
     """Draw a hundred of the runs of each model, the truth and the measured odometry."""
-    with drawing():
-        figure = new_figure(8.0, 4.4)
+    with drawn(8.0, 4.4) as figure:
         panels = figure.subplots(1, len(clouds), sharex=True, sharey=True)
         for axes, (name, paths) in zip(panels, clouds.items(), strict=True):
             panel(axes, paths, name)

@@ -17,15 +17,14 @@ from odomcorrupt.report.plots.figure import (
     BLUE,
     COLOURS,
     GREEN,
-    MARKERS,
     ORANGE,
     RED,
     SKY,
-    drawing,
+    drawn,
     model_panels,
-    new_figure,
     plain_logarithm,
     short_name,
+    style_of,
 )
 from odomcorrupt.report.plots.paths import draw_paths
 from odomcorrupt.study.design.plan import STEP_S, Plan
@@ -62,9 +61,8 @@ def draw_residuals(comparison: Comparison) -> Figure:
     for label in labels:  # equally wide bins over all but the most extreme values
         low, high = np.quantile(np.concatenate([_regressors(piece)[label] for piece in first]), [0.005, 0.995])
         edges.append(np.linspace(low, max(high, low + 1e-9), _BINS + 1))
-    drawn: list[list[Array]] = [[] for _ in range(count)]
-    with drawing():
-        figure = new_figure(12.0, 1.0 + 2.1 * count)
+    shown_rates: list[list[Array]] = [[] for _ in range(count)]
+    with drawn(12.0, 1.0 + 2.1 * count) as figure:
         panels = figure.subplots(count, len(labels), sharey="row", sharex="col", squeeze=False)
         for which, (evaluation, number) in enumerate(shown):
             for d, label in enumerate(labels):
@@ -76,13 +74,13 @@ def draw_residuals(comparison: Comparison) -> Figure:
                     # a bin with hardly a metre would determine the scale of all
                     firm = chance < 6.0 * np.nanmedian(chance)
                     panels[c, d].errorbar(
-                        centre[firm], mean[firm], 2.0 * chance[firm], fmt=MARKERS[number % len(MARKERS)],
-                        color=COLOURS[number % len(COLOURS)], markersize=4, linewidth=1.1, zorder=2 + shift,
-                        label=f"{short_name(evaluation.name)} (bars: two standard deviations)",
+                        centre[firm], mean[firm], 2.0 * chance[firm], linestyle="", markersize=4, linewidth=1.1,
+                        zorder=2 + shift, label=f"{short_name(evaluation.name)} (bars: two standard deviations)",
+                        **style_of(number),
                     )  # fmt: skip
-                    drawn[c].append(rates)
+                    shown_rates[c].append(rates)
         for c in range(count):
-            _limit(panels[c], np.concatenate(drawn[c], axis=1))
+            _limit(panels[c], np.concatenate(shown_rates[c], axis=1))
             panels[c, 0].set_ylabel(f"{CHANNELS[c]} ({_PER_METRE[c]})")
             for axes in panels[c]:
                 axes.axhline(0.0, color="0.3", linewidth=0.8, zorder=1)
@@ -153,8 +151,7 @@ def draw_errors(comparison: Comparison) -> Figure:
 
     Vertical bars are 90 % intervals of the measured values; grey figures on top count the last model's windows.
     """
-    with drawing():
-        figure = new_figure(9.0, 5.9 + 0.28 * len(comparison.evaluations))
+    with drawn(9.0, 5.9 + 0.28 * len(comparison.evaluations)) as figure:
         parts: Any = figure.subfigures(2, 1, height_ratios=(3.9, 1.1 + 0.28 * len(comparison.evaluations)))
         above, below = parts
         headed = all(piece.headed for evaluation in comparison.evaluations for piece in evaluation.pieces)
@@ -163,8 +160,7 @@ def draw_errors(comparison: Comparison) -> Figure:
         for axes, (what, unit) in zip(panels, wanted, strict=True):
             count = len(comparison.evaluations)
             for i, evaluation in enumerate(comparison.evaluations):
-                style = {"color": COLOURS[i % len(COLOURS)], "marker": MARKERS[i % len(MARKERS)]}
-                _curve(axes, evaluation, what, style, 1.025 ** (2 * i - count + 1))
+                _curve(axes, evaluation, what, style_of(i), 1.025 ** (2 * i - count + 1))
             axes.set(xscale="log", yscale="log", xlabel="path driven (m)", title=f"{what} error, RMS ({unit})")
             axes.set_ylim(top=1.35 * axes.get_ylim()[1])
             last_m = 0.0
@@ -225,18 +221,16 @@ def _bars(axes: Axes, comparison: Comparison) -> None:
 
 def draw_nees(comparison: Comparison) -> Figure:
     """Draw NEES per degree of freedom and 90 % coverage against path length."""
-    with drawing():
-        figure = new_figure(9.0, 4.2)
+    with drawn(9.0, 4.2) as figure:
         left, right = figure.subplots(1, 2)
         count = len(comparison.evaluations)
         for i, evaluation in enumerate(comparison.evaluations):
-            colour, marker = COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]
+            style: dict[str, Any] = style_of(i) | {"markersize": 5.5, "linewidth": 1.2}
             # shifted sideways, so that the bars do not overlap
             shift = min(1.06, 1.3 ** (1.0 / count)) ** (2 * i - count + 1)
             distance = shift * np.array([h.distance_m for h in evaluation.horizons])
             low, high = np.array([h.nees_bounds for h in evaluation.horizons]).reshape(-1, 2).T
-            left.vlines(distance, low, high, color=colour, linewidth=7 if count <= 3 else 4, alpha=0.25)
-            style = {"color": colour, "marker": marker, "markersize": 5.5, "linewidth": 1.2}
+            left.vlines(distance, low, high, color=style["color"], linewidth=7 if count <= 3 else 4, alpha=0.25)
             style["label"] = short_name(evaluation.name)
             left.plot(distance, [h.nees for h in evaluation.horizons], **style)
             inside = [100.0 * float(np.nanmean(h.coverage_90)) for h in evaluation.horizons]
@@ -263,8 +257,7 @@ def draw_nees(comparison: Comparison) -> Figure:
 def draw_pit(comparison: Comparison) -> Figure:
     """Draw the difference between the distribution of innovations and the predicted one, with its 95 % band."""
     channels = list(comparison.evaluations[0].pits)
-    with drawing():
-        figure = new_figure(9.0, 3.6)
+    with drawn(9.0, 3.6) as figure:
         panels = figure.subplots(1, len(channels), sharey=True, squeeze=False)[0]
         for axes, channel in zip(panels, channels, strict=True):
             band = comparison.evaluations[0].pits[channel]
@@ -289,8 +282,7 @@ def draw_failure_map(comparison: Comparison) -> Figure:
     metres = max(float(piece.interval_metres.sum()) for piece in comparison.evaluations[0].pieces)
     # short relative to the drive, and long enough for errors to accumulate
     length_m = max((length for length in _LENGTHS_M if length <= metres / 12), default=_LENGTHS_M[0])
-    with drawing():
-        figure, panels = model_panels(comparison.evaluations, 4.4, 6.0, 0.9)
+    with model_panels(comparison.evaluations, 4.4, 6.0, 0.9) as (figure, panels):
         lines = [_panel(axes, evaluation, length_m) for axes, evaluation in panels]
         bar = figure.colorbar(
             lines[-1], ax=[axes for axes, _ in panels], location="bottom", shrink=0.6, aspect=40, extend="max",
@@ -432,8 +424,7 @@ def draw_candidates(learned: Learned) -> Figure:
     columns = min(len(shown), 2)
     rows = -(-len(shown) // columns)
     most = max((max(c.evidence, 0.0) for _, step in shown for c in step.candidates), default=1.0)
-    with drawing():
-        figure = new_figure(11.0 if columns == 2 else 8.0, 0.5 + 2.6 * rows)
+    with drawn(11.0 if columns == 2 else 8.0, 0.5 + 2.6 * rows) as figure:
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes, (number, step) in zip(panels, shown, strict=False):
             left_out = f" (steps {_STEPS} to {number - 1} not drawn)" if number > len(shown) else ""
@@ -483,8 +474,7 @@ _REGRESSORS = {
 def draw_unknown(unknown: Sequence[Dependence]) -> Figure:
     """Draw the dependences with the clearest curves side by side, with bands of two standard errors."""
     shown = unknown[:3]
-    with drawing():
-        figure = new_figure(11.0, 3.6)
+    with drawn(11.0, 3.6) as figure:
         for axes, one in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
             _drawn(axes, one)
             axes.set_title(f"{one.channel} error, {one.nats:.0f} nats")
@@ -533,8 +523,7 @@ def draw_plan(plan: Plan) -> Figure:
     path = plan.path
     shown = slice(0, round(120.0 / STEP_S))
     times_s = np.arange(len(plan.v_mps))[shown] * STEP_S
-    with drawing():
-        figure = new_figure(11.0, 3.6)
+    with drawn(11.0, 3.6) as figure:
         parts: Any = figure.subfigures(1, 2, width_ratios=(1.0, 1.9))
         where = parts[0].subplots()
         where.plot(path[:, 0], path[:, 1], color=BLUE, linewidth=1.4)

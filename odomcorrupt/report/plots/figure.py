@@ -29,7 +29,7 @@ TRUTH, RUNS, LOST = BLACK, BLUE, RED
 COLOURS, MARKERS = (RED, BLUE, GREEN, ORANGE, PURPLE, SKY), ("o", "s", "^", "D", "v", "P")
 """Colour and marker of each model; markers also distinguish them in grey print."""
 
-_STYLE: dict[Any, Any] = {
+_OURS: dict[Any, Any] = {
     "font.size": 10,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -43,6 +43,8 @@ _STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "svg.hashsalt": "odomcorrupt",
 }
+_STYLES: list[str | dict[str, Any]] = ["default", _OURS]
+"""Matplotlib's own style and ours, not that of a matplotlibrc in this folder."""
 
 
 _LONGEST = 34
@@ -51,15 +53,15 @@ _DPI = 150
 
 
 @contextmanager
-def drawing() -> Iterator[None]:
-    """Set the style while a figure is drawn: matplotlib's own and ours, not that of a matplotlibrc in this folder."""
-    with mpl.style.context(["default", _STYLE]):
-        yield
+def drawn(width_in: float, height_in: float, layout: Any = "constrained") -> Iterator[Figure]:
+    """Yield an empty figure while the style is set; it belongs to no window and no global state."""
+    with mpl.style.context(_STYLES):
+        yield Figure(figsize=(width_in, height_in), layout=layout)
 
 
-def new_figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure that belongs to no window and no global state."""
-    return Figure(figsize=(width_in, height_in), layout="constrained")
+def style_of(number: int) -> dict[str, str]:
+    """Return colour and marker of a model by its number."""
+    return {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
 
 
 def rendered(figure: Figure, kind: str) -> bytes:
@@ -70,7 +72,7 @@ def rendered(figure: Figure, kind: str) -> bytes:
         "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
     }
     out = BytesIO()
-    with drawing():
+    with mpl.style.context(_STYLES):
         engine = figure.get_layout_engine()
         if engine is not None:
             # savefig would compute the layout twice, drawing the figure once more for that
@@ -100,10 +102,11 @@ def plain_logarithm(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
+@contextmanager
 def model_panels(
     models: Sequence[ModelEvaluation], pair_in: float, single_in: float, more_in: float
-) -> tuple[Figure, list[tuple[Axes, ModelEvaluation]]]:
-    """Return a figure with a panel for each of up to four models; for more, of the first and the last.
+) -> Iterator[tuple[Figure, list[tuple[Axes, ModelEvaluation]]]]:
+    """Yield a figure with a panel for each of up to four models; for more, of the first and the last.
 
     models : models to draw
     pair_in, single_in : height of a row of two panels, and of a panel alone, inches
@@ -113,14 +116,13 @@ def model_panels(
     shown = [models[0], *models[1 + over :]]
     columns = min(len(shown), 2)
     rows = -(-len(shown) // columns)
-    figure = new_figure(9.0, more_in + (pair_in if columns == 2 else single_in) * rows)
-    figure.set_layout_engine("compressed")
-    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
-    for axes in panels[len(shown) :]:
-        axes.remove()
-    for axes in panels[: len(shown)]:
-        axes.tick_params(labelbottom=True, labelleft=True)
-    if over:
-        names = ", ".join(short_name(one.name) for one in models[1 : 1 + over])
-        figure.supxlabel(f"not drawn: {names}", x=0.01, ha="left", fontsize=9)
-    return figure, list(zip(panels, shown, strict=False))
+    with drawn(9.0, more_in + (pair_in if columns == 2 else single_in) * rows, "compressed") as figure:
+        panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+        for axes in panels[len(shown) :]:
+            axes.remove()
+        for axes in panels[: len(shown)]:
+            axes.tick_params(labelbottom=True, labelleft=True)
+        if over:
+            names = ", ".join(short_name(one.name) for one in models[1 : 1 + over])
+            figure.supxlabel(f"not drawn: {names}", x=0.01, ha="left", fontsize=9)
+        yield figure, list(zip(panels, shown, strict=False))

@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.trajectory import distance_along
-from odomcorrupt.report.plots.figure import COLOURS, ORANGE, RUNS, TRUTH, drawing, model_panels, new_figure, short_name
+from odomcorrupt.report.plots.figure import ORANGE, RUNS, TRUTH, drawn, model_panels, short_name, style_of
 from odomcorrupt.study.validate.predictive_check import Replay, replay
 
 if TYPE_CHECKING:
@@ -28,8 +28,7 @@ _SHOWN_M = 100.0
 
 def draw_paths(comparison: Comparison) -> Figure:
     """Draw truth, odometry and runs of each model over the longest segment of its evaluation, one panel each."""
-    with drawing():
-        figure, panels = model_panels(comparison.evaluations, 4.6, 6.5, 0.7)
+    with model_panels(comparison.evaluations, 4.6, 6.5, 0.7) as (figure, panels):
         # adjacent panels, below the legend
         figure.set_layout_engine("compressed", rect=(0.0, 0.0, 1.0, 1.0 - 0.35 / figure.get_figheight()))
         for axes, evaluation in panels:
@@ -45,7 +44,7 @@ def draw_paths(comparison: Comparison) -> Figure:
 
 
 def _panel(axes: Axes, paths: Replay, name: str, number: int) -> None:
-    end, colour = int(np.searchsorted(paths.distance_m, _SHOWN_M)), COLOURS[number % len(COLOURS)]
+    end, colour = int(np.searchsorted(paths.distance_m, _SHOWN_M)), style_of(number)["color"]
     truth, measured, runs = paths.truth_xyt[:end], paths.measured_xyt[:end], paths.runs_xyt[:, :end]
     for i, run in enumerate(runs):
         axes.plot(
@@ -79,8 +78,7 @@ def draw_corruption(
     before, after = before_xyt[:count], after_xyt[:count]
     driven_m = distance_along(before)
     error = after - before
-    with drawing():
-        figure = new_figure(9.0, 4.6)
+    with drawn(9.0, 4.6) as figure:
         plane, growth = figure.subplots(1, 2, width_ratios=(3, 2))
         plane.plot(after[:, 0], after[:, 1], color=RUNS, linewidth=1.2, label=names[1])
         plane.plot(before[:, 0], before[:, 1], color=TRUTH, linewidth=1.4, label=names[0])
@@ -103,8 +101,7 @@ def draw_corruption(
 def draw_errors(error: PathErrors, true_name: str, name: str, title: str) -> Figure:
     """Draw a path and its heading with the truth, and the error of each below."""
     t = error.t_s
-    with drawing():
-        figure = new_figure(10.0, 6.6)
+    with drawn(10.0, 6.6) as figure:
         (path, heading), (position, turn) = figure.subplots(2, 2, height_ratios=(2.2, 1))
         for xyt, colour, style, label in (
             (error.truth_xyt, TRUTH, "-", true_name),
@@ -128,8 +125,7 @@ def draw_errors(error: PathErrors, true_name: str, name: str, title: str) -> Fig
 
 def draw_runs(runs_xyt: Array, true_xyt: Array, true_name: str, title: str) -> Figure:
     """Draw noisy paths (runs, n, 3) and the true one (m, 3) over them."""
-    with drawing():
-        figure = new_figure(8.0, 6.4)
+    with drawn(8.0, 6.4) as figure:
         axes = figure.subplots()
         # more than a thousand points per run are not visible
         every = max(runs_xyt.shape[1] // 1000, 1)
@@ -154,8 +150,7 @@ def _plane(axes: Axes) -> None:
 
 def draw_fan(outlook: Forecast, title: str) -> Figure:
     """Draw noisy paths over the clean one, and the drift of position and heading against distance."""
-    with drawing():
-        figure = new_figure(9.0, 4.6)
+    with drawn(9.0, 4.6) as figure:
         places = figure.add_gridspec(2, 2, width_ratios=(3, 2))
         plane = figure.add_subplot(places[:, 0])
         position, heading = figure.add_subplot(places[0, 1]), figure.add_subplot(places[1, 1])

@@ -12,7 +12,7 @@ from matplotlib.transforms import Affine2D
 from odomcorrupt.geometry.se2 import wrap
 from odomcorrupt.mapping.occupancy_grid import OCCUPIED, Grid
 from odomcorrupt.mapping.scan_map import added_thickness
-from odomcorrupt.report.plots.figure import BLACK, BLUE, GREEN, ORANGE, RED, RUNS, SKY, TRUTH, drawing, new_figure
+from odomcorrupt.report.plots.figure import BLACK, BLUE, GREEN, ORANGE, RED, RUNS, SKY, TRUTH, drawn
 from odomcorrupt.sampling.samples import Moments, Move, ellipse, linearised_moments, sample_moments
 
 if TYPE_CHECKING:
@@ -39,8 +39,7 @@ def draw_scan_maps(maps: Sequence[ScanMap], window_m: float, added: str = "noise
     left, right, bottom, top = maps[0].grid.extent
     width = 11.0
     panel = float(np.clip(width / len(maps) * (top - bottom) / (right - left), 2.5, 7.0))
-    with drawing():
-        figure = new_figure(width, panel + 3.6)
+    with drawn(width, panel + 3.6) as figure:
         places = figure.add_gridspec(2, len(maps), height_ratios=(panel, 2.2))
         for i, scan_map in enumerate(maps):
             axes = figure.add_subplot(places[0, i])
@@ -103,8 +102,7 @@ def draw_banana(move: Move, variances: Variances, xyt: Array, title: str, space:
 
     space : free space that constrained the samples, drawn below
     """
-    with drawing():
-        figure = new_figure(8.6, 5.4)
+    with drawn(8.6, 5.4) as figure:
         plane, headings = figure.subplots(1, 2, width_ratios=(3, 1))
         if space is not None:
             draw_free_space(plane, space)
@@ -181,14 +179,14 @@ def _frame_samples(axes: Axes, move: Move, xy: Array) -> None:
 
 
 def _ellipses(axes: Axes, move: Move, variances: Variances, xyt: Array) -> None:
-    drawn = sample_moments(xyt)
+    own = sample_moments(xyt)
     for moments, colour, style, label in (
         (linearised_moments(move, variances), RED, "-", f"linearised, {SIGMAS:g} sigma"),
-        (drawn, ORANGE, (0, (5, 2)), f"of the samples, {SIGMAS:g} sigma"),
+        (own, ORANGE, (0, (5, 2)), f"of the samples, {SIGMAS:g} sigma"),
     ):
         draw_ellipse(axes, moments, edgecolor=colour, linestyle=style, linewidth=1.8, label=label, zorder=5)
     mean: dict[str, Any] = {"markersize": 6, "markeredgecolor": "white", "markeredgewidth": 0.6, "zorder": 8}
-    axes.plot(*drawn.mean_xyt[:2], "X", label="mean", color=ORANGE, **mean)
+    axes.plot(*own.mean_xyt[:2], "X", label="mean", color=ORANGE, **mean)
 
 
 def draw_ellipse(axes: Axes, moments: Moments, **style: Any) -> None:
@@ -209,8 +207,7 @@ def _headings(axes: Axes, move: Move, xyt: Array) -> None:
 
 def draw_density(move: Move, grid: DensityGrid, xyt: Array, title: str, unit: str) -> Figure:
     """Draw samples (n, 3) on the left and a density on the right, on the same axes."""
-    with drawing():
-        figure = new_figure(10.0, 5.2)
+    with drawn(10.0, 5.2) as figure:
         left, right = figure.subplots(1, 2, sharex=True, sharey=True)
         image = right.pcolormesh(
             grid.x_m, grid.y_m, np.ma.masked_less(grid.density, 0.01 * grid.density.max()), cmap="Blues",
@@ -238,8 +235,7 @@ def draw_cloud(cloud: ParticleSet, title: str, space: FreeSpace | None = None) -
     """
     colours = (BLUE, ORANGE, GREEN, RED, SKY)
     size = float(np.clip(2500.0 / len(cloud.xyt), 1.0, 8.0))
-    with drawing():
-        figure = new_figure(8.6, 6.8)
+    with drawn(8.6, 6.8) as figure:
         axes = figure.subplots()
         if space is not None:
             draw_free_space(axes, space)
@@ -282,8 +278,7 @@ def draw_cloud(cloud: ParticleSet, title: str, space: FreeSpace | None = None) -
 
 def draw_spread(report: SpreadReport) -> Figure:
     """Draw the true path and the runs, and errors of position and heading against distance."""
-    with drawing():
-        figure = new_figure(10.0, 5.2)
+    with drawn(10.0, 5.2) as figure:
         grid = figure.add_gridspec(2, 2, width_ratios=(3, 2))
         plane = figure.add_subplot(grid[:, 0])
         for path in report.runs_xy:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import NullLocator
 
-from odomcorrupt.report.plots.figure import LOST, ORANGE, RUNS, TRUTH, drawing, new_figure, plain_logarithm
+from odomcorrupt.report.plots.figure import LOST, ORANGE, RUNS, TRUTH, drawn, plain_logarithm
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,8 +24,7 @@ _SHOWN = 200
 
 def draw_score(report: ScoreReport) -> Figure:
     """Draw all three figures side by side."""
-    with drawing():
-        figure = new_figure(13.5, 4.4)
+    with drawn(13.5, 4.4) as figure:
         for axes, draw in zip(figure.subplots(1, 3), (drift, along, places), strict=True):
             draw(axes, report)
     return figure
@@ -33,8 +32,7 @@ def draw_score(report: ScoreReport) -> Figure:
 
 def draw_alone(draw: Callable[[Axes, ScoreReport], None], report: ScoreReport, *size_in: float) -> Figure:
     """Draw one of the three figures alone, of the given width and height, inches."""
-    with drawing():
-        figure = new_figure(*size_in)
+    with drawn(*size_in) as figure:
         draw(figure.subplots(), report)
     return figure
 
