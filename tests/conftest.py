@@ -34,6 +34,20 @@ def interruptible():
 
 
 @pytest.fixture
+def told(capsys):
+    """Return a function of a command line: what it prints on stdout and stderr; it has to end with the given code."""
+    from odomcorrupt.cli import run
+
+    def call(words, code=0):
+        capsys.readouterr()
+        ended, printed = run([*map(str, words)]), capsys.readouterr()
+        assert ended == code, printed
+        return printed
+
+    return call
+
+
+@pytest.fixture
 def dead():
     """Return the number of a process that is no more."""
     process = subprocess.Popen([sys.executable, "-c", ""])

@@ -178,13 +178,12 @@ def test_a_result_is_small_to_print_and_whole_as_values(tmp_path):
     assert isinstance(done.to_pandas(), pandas.DataFrame)
 
 
-def test_corrupting_again_is_said(tmp_path, capsys):
+def test_corrupting_again_is_said(tmp_path, told):
     oc.corrupt(OFFICE, tmp_path / "a.mcap", model=NOISE, seed=7)
     again = oc.corrupt(tmp_path / "a.mcap", tmp_path / "b.mcap", model=NOISE, seed=8)
     assert again.earlier[0]["seed"] == "7"
     assert "was corrupted before (seed 7" in str(again)
-    assert run(["info", str(tmp_path / "b.mcap"), "--json"]) == 0
-    stored = json.loads(capsys.readouterr().out)["provenance"]
+    stored = json.loads(told(["info", str(tmp_path / "b.mcap"), "--json"]).out)["provenance"]
     assert [(one["seed"], one["run"]) for one in stored] == [("7", "0"), ("8", "0")]
     assert all("rot_trans = 0.02" in one["model"] for one in stored)
 
@@ -365,20 +364,17 @@ STATED = {
 
 
 @pytest.mark.parametrize("name", [*READS, *STATED])
-def test_values_texts_and_pictures_are_those_of_the_command_line(name, tmp_path, monkeypatch, capsys):
+def test_values_texts_and_pictures_are_those_of_the_command_line(name, tmp_path, monkeypatch, told):
     monkeypatch.chdir(tmp_path)
     Path("robot.toml").write_text(MODEL_FILE)
     if name == "spread":
         oc.batch(OFFICE, "runs", model=NOISE, runs=3, seed=1, output="trajectories")
     call, words = (READS | STATED)[name]
     result = call()
-    assert run([*words, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(result.to_dict()))
-    assert run([*words, "-v"]) == 0
-    assert capsys.readouterr().out.startswith(result.details() + "\n")
+    assert json.loads(told([*words, "--json"]).out) == json.loads(json.dumps(result.to_dict()))
+    assert told([*words, "-v"]).out.startswith(result.details() + "\n")
     assert len(result.rows()) > 3 * (name in READS)
-    assert run(words) == 0
-    shown, own = (text.partition("\nnext")[0].rstrip().splitlines() for text in (capsys.readouterr().out, str(result)))
+    shown, own = (text.partition("\nnext")[0].rstrip().splitlines() for text in (told(words).out, str(result)))
     shown = [line for line in shown if "more line" not in line]  # the next command takes a line or two of eight
     if words[0] != "export":  # which prints the YAML, condensed
         assert own[: len(shown)] == shown

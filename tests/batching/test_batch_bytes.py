@@ -325,14 +325,12 @@ def test_what_adds_messages_is_refused_where_only_changes_are_written(flag, outp
 
 
 @pytest.mark.parametrize("output", ["full", "overlay"])
-def test_damaged_bag_is_recovered_for_every_run_and_what_is_lost_is_reported(output, here, capsys):
+def test_damaged_bag_is_recovered_for_every_run_and_what_is_lost_is_reported(output, here, told):
     whole = (FIXTURES / "office.mcap").read_bytes()
     (here / "cut.mcap").write_bytes(whole[: len(whole) // 2])
     words = ["batch", "cut.mcap", "runs", "--runs", "2", *NOISE, "--output", output]
     assert run(words) == 1
-    capsys.readouterr()
-    assert run([*words, "--recover", "-v"]) == 3
-    assert "\nlost   " in capsys.readouterr().err
+    assert "\nlost   " in told([*words, "--recover", "-v"], 3).err
     assert run(["cut.mcap", "alone.mcap", *NOISE, "--run", "1", "--recover"]) == 3
     made = here / "runs" / "run_000001.mcap"
     if output == "overlay":
@@ -371,10 +369,9 @@ def test_models_and_inputs_that_are_swept_have_directories_whose_commands_make_t
     assert len(seen) == len(points)
 
 
-def test_a_sweep_says_the_drift_of_each_point_and_its_next_command_works(here, capsys):
+def test_a_sweep_says_the_drift_of_each_point_and_its_next_command_works(here, told):
     words = ["batch", "office.mcap", "runs", "--runs", "2", "--output", "trajectories", *NOISE]
-    assert run([*words, "--sweep", "alpha-scale=0.5,2"]) == 0
-    *_, low, high, following = capsys.readouterr().err.splitlines()
+    *_, low, high, following = told([*words, "--sweep", "alpha-scale=0.5,2"]).err.splitlines()
     for line, name in ((low, "alpha-scale=0.5"), (high, "alpha-scale=2")):
         drift = [one["drift"]["end_drawn_m"] for one in records(here / "runs" / name)]
         rms_m = (sum(value**2 for value in drift) / len(drift)) ** 0.5

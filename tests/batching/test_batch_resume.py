@@ -255,15 +255,13 @@ def test_lines_of_the_manifest_that_are_none_are_passed_over(here, capsys):
     assert files_of(here / "runs") == whole
 
 
-def test_a_beginning_that_is_none_is_reported_in_a_line(here, capsys):
+def test_a_beginning_that_is_none_is_reported_in_a_line(here, told):
     assert batch(1) == 0
-    capsys.readouterr()
     again = ["batch", "in.mcap", "runs", "--runs", "1"]
     for text in ("[]", "5", "{}", "[" * 100_000, '{"seed": "x"}', "\xff", '{"seed": -1}', "null", ""):
         (here / "runs" / "batch.json").write_text(text, encoding="latin1")
         for words in ([*again, *TYPED], [*again, *TYPED[:5]], ["spread", "runs"]):
-            assert run(words) == 1
-            said = capsys.readouterr().err
+            said = told(words, 1).err
             assert "batch.json: is not as batch writes it" in said
             assert said.count("\n") == 1
 
@@ -293,18 +291,15 @@ def test_a_run_that_is_not_as_large_as_noted_is_made_again(here):
 
 
 @pytest.mark.parametrize("kind", ["in.mcap", "office_ros2"])
-def test_a_changed_byte_is_found_where_sums_are_asked_for(kind, here, capsys):
+def test_a_changed_byte_is_found_where_sums_are_asked_for(kind, here, told):
     words = ["batch", kind, "runs", "--runs", "2", *TYPED]
     assert run(words) == 0
     run_1 = here / "runs" / ("run_000001.mcap" if kind == "in.mcap" else "run_000001")
     path = run_1 if run_1.is_file() else next(run_1.glob("*.db3"))
     data = path.read_bytes()
     path.write_bytes(data[:5000] + bytes([data[5000] ^ 1]) + data[5001:])
-    capsys.readouterr()
-    assert run(words) == 0
-    assert "0 runs made now" in capsys.readouterr().err
-    assert run([*words, "--verify"]) == 0
-    assert "1 runs made now" in capsys.readouterr().err
+    assert "0 runs made now" in told(words).err
+    assert "1 runs made now" in told([*words, "--verify"]).err
     assert path.read_bytes() == data
 
 
@@ -347,10 +342,9 @@ def test_of_two_that_begin_at_once_one_is_refused(here, monkeypatch, capsys):
     assert not list(here.glob("runs/run_*"))
 
 
-def test_runs_are_not_made_inside_of_their_input(here, capsys):
+def test_runs_are_not_made_inside_of_their_input(here, told):
     shutil.copytree(FIXTURES / "office_ros2", here / "bag")
-    assert run(["batch", "bag", "bag/runs", "--runs", "1", *TYPED]) == 1
-    assert "lies in the input" in capsys.readouterr().err
+    assert "lies in the input" in told(["batch", "bag", "bag/runs", "--runs", "1", *TYPED], 1).err
     assert sorted(path.name for path in (here / "bag").iterdir()) == sorted(
         path.name for path in (FIXTURES / "office_ros2").iterdir()
     )

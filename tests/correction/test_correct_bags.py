@@ -86,16 +86,14 @@ def test_transforms_agree_with_the_odometry(trio):
 
 
 @pytest.mark.parametrize(("effect", "said"), [("", "set-up lever_arm ("), ("wheel_scale", "; not lever_arm (")])
-def test_a_lever_arm_is_said_to_be_no_part_of_the_odometry(tmp_path, effect, said, capsys):
+def test_a_lever_arm_is_said_to_be_no_part_of_the_odometry(tmp_path, effect, said, told):
     arm = '[[setup.effect]]\nname = "lever_arm"\nx = 0.25\ny = 0.0\n'
     own = f'[[effect]]\nname = "{effect}"\ne = 0.02\n' if effect else ""
     (tmp_path / "robot.toml").write_text(f"{NOISE}\n{own}[setup]\n{arm}")
     source, target, model = FIXTURES / "office.mcap", tmp_path / "right.mcap", tmp_path / "robot.toml"
     words = ["correct", str(source), str(target), "--model", str(model), "--force"]
-    assert run(words) == 0
-    assert f"{said}the truth's tracked point)" in " ".join(capsys.readouterr().err.split())
-    assert run([*words, "--effect", "lever_arm:x=0.25"]) == 0
-    assert "tracked point" not in capsys.readouterr().err
+    assert f"{said}the truth's tracked point)" in " ".join(told(words).err.split())
+    assert "tracked point" not in told([*words, "--effect", "lever_arm:x=0.25"]).err
 
 
 @pytest.mark.parametrize("choice", ["model", "keep"])
@@ -124,7 +122,7 @@ def test_clocks_given_as_effects_are_put_right(tmp_path):
     assert np.abs(edge.stamps_ns - rows_of(source, "/tf", EDGE).stamps_ns).max() <= 1
 
 
-def test_what_cannot_be_undone_is_said_and_setup_is_left_alone(tmp_path, capsys):
+def test_what_cannot_be_undone_is_said_and_setup_is_left_alone(tmp_path, told):
     (tmp_path / "robot.toml").write_text(
         f'{NOISE}\n[[effect]]\nname = "wheel_scale"\ne = 0.02\n[[effect]]\nname = "gauss_markov"\nsigma = 0.02\n'
         '[[effect]]\nname = "quantization"\nstep = 0.001\n[setup]\ntruth_xy = 0.001\n[[setup.effect]]\n'
@@ -132,8 +130,7 @@ def test_what_cannot_be_undone_is_said_and_setup_is_left_alone(tmp_path, capsys)
     )
     out = [tmp_path / "with.mcap", tmp_path / "plain.mcap"]
     source = str(FIXTURES / "office.mcap")
-    assert run(["correct", "-v", source, str(out[0]), "--model", str(tmp_path / "robot.toml")]) == 0
-    said = capsys.readouterr().err
+    said = told(["correct", "-v", source, str(out[0]), "--model", str(tmp_path / "robot.toml")]).err
     assert "taken out  wheel_scale (e 0.02)" in said
     assert "gauss_markov: its random course was not recorded" in said
     assert "quantization: travel below the encoder's resolution" in said
@@ -176,12 +173,11 @@ def test_a_truth_that_was_kept_in_the_frame_of_the_odometry_stays(tmp_path):
     assert differ(rows_of(right, "/odom").xyt, was.xyt) < 1e-6
 
 
-def test_effects_of_single_wheels_take_the_track_from_the_command_line(tmp_path, capsys):
+def test_effects_of_single_wheels_take_the_track_from_the_command_line(tmp_path, told):
     wrong, right = tmp_path / "wrong.mcap", tmp_path / "right.mcap"
     play = ["--effect", "backlash:travel=0.02"]
     assert run([str(FIXTURES / "office.mcap"), str(wrong), *play, "--track", "0.4"]) == 0
-    assert run(["correct", "-v", str(wrong), str(right), *play]) == 1
-    assert "give it in metres with --track" in capsys.readouterr().err
+    assert "give it in metres with --track" in told(["correct", "-v", str(wrong), str(right), *play], 1).err
     assert run(["correct", "-v", str(wrong), str(right), *play, "--track", "0.4"]) == 0
     was, off, back = (rows_of(path, "/odom").xyt for path in (FIXTURES / "office.mcap", wrong, right))
     assert differ(back, was) < 0.2 * differ(off, was)
@@ -201,16 +197,14 @@ def test_effects_of_places_ask_where_the_drive_began(tmp_path, capsys):
     assert differ(other, silent) > 0.05
 
 
-def test_learned_effects_of_places_are_not_taken_out_before_their_frame_is_given(tmp_path, capsys):
+def test_learned_effects_of_places_are_not_taken_out_before_their_frame_is_given(tmp_path, capsys, told):
     model, out = tmp_path / "robot.toml", tmp_path / "out.mcap"
     slope = '\n[[effect]]\nname = "slope"\ncreep = 0.02\n\n[source]\nrecordings = ["run.mcap"]\n'
     model.write_text(NOISE + slope)
     words = ["correct", str(FIXTURES / "office.mcap"), str(out), "--model", str(model)]
-    assert run(words) == 2
-    assert "slope: depends on position or heading in the frame of the truth" in capsys.readouterr().err
+    assert "slope: depends on position or heading in the frame of the truth" in told(words, 2).err
     assert not out.exists()
-    assert run([*words, "--start", "odom"]) == 0
-    assert "--start" not in capsys.readouterr().err
+    assert "--start" not in told([*words, "--start", "odom"]).err
     with pytest.raises(EffectError, match="give the pose at which this odometry begins"):
         correct(FIXTURES / "office.mcap", tmp_path / "other.mcap", model=model)
     assert run([str(FIXTURES / "office.mcap"), str(tmp_path / "noisy.mcap"), "--model", str(model)]) == 0
@@ -258,17 +252,15 @@ def test_with_nothing_to_undo_the_bag_is_copied_and_that_is_said(tmp_path, optio
 
 
 @pytest.mark.parametrize(("offset", "said"), [("0.015145", True), ("0.0004", False)])
-def test_a_learned_time_offset_stays_and_the_way_out_is_named(tmp_path, capsys, offset, said):
+def test_a_learned_time_offset_stays_and_the_way_out_is_named(tmp_path, told, offset, said):
     model = tmp_path / "late.toml"
     model.write_text(f'{NOISE}[[setup.clock]]\nrecording = "a.mcap"\ntime_offset = {offset}\nclock_skew = 0.0\n')
     words = ["correct", str(FIXTURES / "office.mcap")]
-    assert run([*words, str(tmp_path / "out.mcap"), "--model", str(model)]) == 0
-    text = " ".join(capsys.readouterr().err.split())
+    text = " ".join(told([*words, str(tmp_path / "out.mcap"), "--model", str(model)]).err.split())
     assert ("--effect time_offset:offset=0.01515" in text) is said
     # who asks for it gets it, and is not told again
     asked = [*words, str(tmp_path / "asked.mcap"), "--model", str(model), "--effect", "time_offset:offset=0.015"]
-    assert run(asked) == 0
-    assert "stays" not in capsys.readouterr().err
+    assert "stays" not in told(asked).err
 
 
 def test_a_pipe_can_be_written(tmp_path, capfdbinary):

@@ -334,10 +334,9 @@ def at_once(_imported, tmp_path, monkeypatch, capsys):
 
 @pytest.mark.usefixtures("at_once")
 @pytest.mark.parametrize("name", MODELS)
-def test_a_model_is_refused_at_once(name, capsys):
+def test_a_model_is_refused_at_once(name, told):
     Path("m.toml").write_text(MODELS[name])
-    assert run([OFFICE, "out.mcap", "--model", "m.toml"]) == 1
-    said = capsys.readouterr().err
+    said = told([OFFICE, "out.mcap", "--model", "m.toml"], 1).err
     assert said.startswith("odomcorrupt: m.toml: ")
     assert said.count("\n") == 1
     assert len(said) < 2500
@@ -346,7 +345,7 @@ def test_a_model_is_refused_at_once(name, capsys):
 
 @pytest.mark.usefixtures("at_once")
 @pytest.mark.parametrize("name", MAPS)
-def test_a_map_is_refused_at_once(name, capsys):
+def test_a_map_is_refused_at_once(name, told):
     yaml, image = MAPS[name]
     Path("m.yaml").write_text(yaml)
     with Path("p.pgm").open("wb") as file:
@@ -354,8 +353,7 @@ def test_a_map_is_refused_at_once(name, capsys):
         if len(image) < 1000 and b"#" not in image:
             columns, rows = map(int, image.split()[1:3])
             file.truncate(len(image) + rows * columns)  # a hole, not on the disk
-    assert run([OFFICE, "out.mcap", "--map", "m.yaml", "--map-pose", "0,0,0", "--seed", "1", "-q"]) == 1
-    said = capsys.readouterr().err
+    said = told([OFFICE, "out.mcap", "--map", "m.yaml", "--map-pose", "0,0,0", "--seed", "1", "-q"], 1).err
     assert said.count("\n") == 1
     assert len(said) < 2500
     assert not Path("out.mcap").exists()

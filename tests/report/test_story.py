@@ -462,24 +462,21 @@ def found(monkeypatch, rich):
     monkeypatch.setattr("odomcorrupt.study.pipeline.advise", lambda _learned: ADVICE)
 
 
-def test_diagnose_says_in_the_terminal_what_to_type_next(found, rich, case, tmp_path, capsys, monkeypatch):
+def test_diagnose_says_in_the_terminal_what_to_type_next(found, rich, case, tmp_path, told, monkeypatch):
     monkeypatch.setattr("odomcorrupt.study.pipeline.learn", lambda *_args, **_named: replace(rich, laws=()))
     words = ["diagnose", "-v", str(case.bag), "--track", str(case.recording.track_m)]
     words += ["--drive", str(tmp_path / "next.mcap")]
-    assert run(words) == 0
-    out, err = capsys.readouterr()
+    out, err = told(words)
     assert "held-out position error (RMS):" in out
     _, _, following = " ".join(out.replace("\\\n", " ").split()).rpartition(" next")
     assert following.lstrip(": ").startswith("odomcorrupt fit ")
     assert following.endswith("--add unequal_wheels -o robot.toml")
     assert f"wrote {tmp_path / 'next.mcap'}: " in err
-    assert run(words) == 1
-    assert "--overwrite" in capsys.readouterr().err
+    assert "--overwrite" in told(words, 1).err
 
 
-def test_where_a_law_is_included_learn_comes_next_because_it_alone_writes_laws(found, case, capsys):
-    assert run(["diagnose", "-v", str(case.bag), "--track", str(case.recording.track_m)]) == 0
-    out = capsys.readouterr().out
+def test_where_a_law_is_included_learn_comes_next_because_it_alone_writes_laws(found, case, told):
+    out = told(["diagnose", "-v", str(case.bag), "--track", str(case.recording.track_m)]).out
     _, _, following = " ".join(out.replace("\\\n", " ").split()).rpartition(" next")
     assert following.lstrip(": ").startswith(f"odomcorrupt learn {case.bag} ")
     assert following.endswith(f"--track {case.recording.track_m:g} -o robot.toml")
@@ -492,16 +489,15 @@ def test_where_a_law_is_included_learn_comes_next_because_it_alone_writes_laws(f
      ("diagnose {bag} --drive next.bag", "next.bag: ends in .bag; write .mcap"),
      ("fit {bag} {model}", "is a model; pass it with --start")],
 )  # fmt: skip
-def test_what_cannot_be_meant_is_refused_before_any_work(words, said, case, capsys):
+def test_what_cannot_be_meant_is_refused_before_any_work(words, said, case, told):
     typed = [word.format(bag=case.bag, model=case.base, other=case.robot) for word in words.split()]
-    assert run(typed) == 2
-    err = capsys.readouterr().err
+    err = told(typed, 2).err
     assert said in err
     assert err.count("\n") == 1
 
 
 @pytest.mark.slow
-def test_learn_writes_model_page_picture_and_drive(found, case, sequence, fitted, tmp_path, capsys, monkeypatch):
+def test_learn_writes_model_page_picture_and_drive(found, case, sequence, fitted, tmp_path, told, monkeypatch):
     asked = []
     monkeypatch.setattr("odomcorrupt.study.pipeline.fit_robot", lambda *_args, **_named: fitted)
     module = "odomcorrupt.study.pipeline"
@@ -511,15 +507,13 @@ def test_learn_writes_model_page_picture_and_drive(found, case, sequence, fitted
     monkeypatch.chdir(tmp_path)
     words = ["learn", "-v", str(case.bag), "--track", str(case.recording.track_m)]
     files = {"-o": "robot.toml", "--report": "all.html", "--plot": "fall.svg", "--drive": "next.mcap"}
-    assert run([*words, *(word for pair in files.items() for word in pair)]) == 0
-    out, err = capsys.readouterr()
+    out, err = told([*words, *(word for pair in files.items() for word in pair)])
     assert all((tmp_path / name).stat().st_size > 0 for name in files.values())
     assert all(f"wrote {name}" in err for name in files.values())
     assert "missing, in the order of evidence" in out
     assert list(asked[0]) == ["without effects", "with unequal_wheels, yaw over speed, gauss_markov"]
     assert (tmp_path / "all.html").read_text().endswith("odomcorrupt sim.bag noisy.bag --model robot.toml")
-    assert run([*words, "--json", "--force"]) == 0
-    printed = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    printed = json.loads(told([*words, "--json", "--force"]).out, parse_constant=pytest.fail)
     assert printed["comparison"]["models"][0]["name"] == sequence.evaluations[0].name
 
 
