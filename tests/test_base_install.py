@@ -8,9 +8,9 @@ from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
+from recordings import ROOT
 from test_refusals import ROBOT as NOISE
 
-ROOT = Path(__file__).parents[1]
 OFFICE = str(ROOT / "fixtures" / "office.mcap")
 BARE = """
 import sys

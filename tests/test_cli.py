@@ -18,8 +18,8 @@ from odomcorrupt.effects import registry
 from odomcorrupt.errors import BagError
 from odomcorrupt.model.noise_laws import LAWS
 from odomcorrupt.model.presets import PRESETS
+from recordings import FIXTURES
 
-FIXTURES = Path(__file__).parent.parent / "fixtures"
 OFFICE = str(FIXTURES / "office.mcap")
 
 

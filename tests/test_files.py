@@ -11,8 +11,8 @@ import pytest
 from odomcorrupt.cli import run
 from odomcorrupt.errors import MapError, OdomCorruptError
 from odomcorrupt.input_files import open_input, read_input
+from recordings import FIXTURES
 
-FIXTURES = Path(__file__).parents[1] / "fixtures"
 PGM = b"P5\n2 2\n255\n\xfe\xfe\xfe\xfe"
 YAML = "image: map.pgm\nresolution: 0.05\norigin: [0, 0, 0]\noccupied_thresh: 0.65\nfree_thresh: 0.196\nnegate: 0\n"
 

@@ -3,7 +3,6 @@
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +10,7 @@ import pytest
 from odomcorrupt.errors import OdomCorruptError
 from pytest_odomcorrupt.bags import corrupted
 from pytest_odomcorrupt.gate import ErrorGate
-
-ROOT = Path(__file__).parents[1]
-OFFICE = ROOT / "fixtures" / "office.mcap"
+from recordings import OFFICE, ROOT
 
 
 @pytest.fixture(scope="module")

@@ -15,8 +15,8 @@ from odomcorrupt.api.batch import BatchOptions
 from odomcorrupt.cli import run
 from odomcorrupt.errors import COMMAND_LINE_ONLY, BagError, TopicError
 from odomcorrupt.mapping.conditioned import read_condition
+from recordings import FIXTURES, ROOT
 
-FIXTURES = Path(__file__).parents[1] / "fixtures"
 OFFICE = str(FIXTURES / "office.mcap")
 NOISE = "--alpha 0.05 0.02 0.05 0.01 --seed 7"
 
@@ -173,7 +173,6 @@ def test_a_model_file_is_refused_by_its_name_and_is_no_wrong_usage(words, here, 
     assert capsys.readouterr().err.startswith("odomcorrupt: bad.toml: no law is called 'cubic'; there are ")
 
 
-ROOT = Path(__file__).parents[1]
 BAG = ROOT / "fixtures" / "office.mcap"
 NOT_IN_ERRORS = {"--covariance", "--drive", "--json", "--plot", "--preset", "--report", "--tf", "--twist", "--validate"}
 """Options that only notes and recorded commands name."""

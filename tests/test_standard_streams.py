@@ -19,9 +19,9 @@ from odomcorrupt.cli import run
 from odomcorrupt.commands import _progress
 from odomcorrupt.standard_streams import TextStream, visible
 from odomcorrupt.study.select.selection import stages
+from recordings import FIXTURES
 from terminal import on_a_terminal
 
-FIXTURES = Path(__file__).parent.parent / "fixtures"
 OFFICE = str(FIXTURES / "office.mcap")
 OFFICE1 = str(FIXTURES / "office.bag")
 OURS = [sys.executable, "-m", "odomcorrupt"]

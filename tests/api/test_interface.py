@@ -18,10 +18,9 @@ from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.extras import part_of_study
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.trajectories import read_drive
+from recordings import OFFICE, ROOT
 from test_refusals import ROBOT
 
-ROOT = Path(__file__).parent.parent.parent
-OFFICE = ROOT / "fixtures" / "office.mcap"
 NOISE = oc.Noise(alpha=(0.05, 0.02, 0.05, 0.01))
 ALPHA = ["--alpha", "0.05", "0.02", "0.05", "0.01"]
 

@@ -1,10 +1,8 @@
 """The folder that batches are made in."""
 
-from pathlib import Path
-
 import pytest
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
+from recordings import FIXTURES
 
 
 @pytest.fixture

@@ -32,6 +32,7 @@ from odomcorrupt.forecasting import read_clean_drive
 from odomcorrupt.geometry.se2 import wrap
 from odomcorrupt.model.motion_model import MotionModel
 from odomcorrupt.model.presets import preset_named
+from recordings import FIXTURES
 from terminal import on_a_terminal
 
 BAGS = ["office.bag", "office.mcap", "office_ros2"]
@@ -223,7 +224,6 @@ def test_without_dask_the_extra_is_named(here, monkeypatch, capsys):
     assert 'pip install ".[dask]"' in capsys.readouterr().err
 
 
-FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
 NOISE = ["--alpha", "5deg", "0.02", "0.05", "0.01", "--seed", "7"]
 OPTIONS = {
     "effects": MODEL[5:],

@@ -17,8 +17,8 @@ from odomcorrupt.bags.output import beside
 from odomcorrupt.batching import engine as making
 from odomcorrupt.batching import manifest
 from odomcorrupt.cli import run
+from recordings import FIXTURES
 
-FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
 TYPED = ["--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7"]
 
 

@@ -20,8 +20,8 @@ from odomcorrupt.commands._standard import _colours
 from odomcorrupt.effects import registry
 from odomcorrupt.model.model_file import parse_model
 from odomcorrupt.model.presets import PRESETS, suggested
+from recordings import FIXTURES
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 OFFICE, SHORT = str(FIXTURES / "office.mcap"), str(FIXTURES / "office_ros2")
 COMMANDS = cli.list_commands(click.Context(cli))
 

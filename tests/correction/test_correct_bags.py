@@ -27,8 +27,8 @@ from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import simulate, write_mcap
+from recordings import FIXTURES
 
-FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
 EDGE = ("odom", "base_link")
 BAGS = ["office.bag", "office.mcap", "office_ros2"]
 EFFECTS = ["unequal_wheels:curvature=0.02", "gyro_bias:bias=0.004", "accel_slip:k=0.03", "slope:creep=0.02"]

@@ -5,7 +5,6 @@ import runpy
 import sys
 import time
 from itertools import islice
-from pathlib import Path
 from types import SimpleNamespace as Names
 
 import numpy as np
@@ -20,9 +19,8 @@ from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.corruption.transform import Options, Transform
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.model.noise_laws import Coefficients
+from recordings import OFFICE, ROOT
 
-ROOT = Path(__file__).parents[2]
-OFFICE = ROOT / "fixtures" / "office.mcap"
 PLANAR = np.array([0, 1, 5])
 
 

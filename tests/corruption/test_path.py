@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -24,6 +23,7 @@ from odomcorrupt.geometry.se2 import Increments, accumulate, compose, increments
 from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
 from odomcorrupt.trajectories import read_drive
+from recordings import OFFICE
 
 EFFECTS = (
     effect_from_values("unequal_wheels", {"curvature": 0.02}),
@@ -266,9 +266,6 @@ def test_an_increment_of_many_whole_steps_counts_each_and_none_is_no_variance():
     assert got.growth.began_m == pytest.approx(1.0)
     none = grown("linear", Step(1, 1), np.zeros((0, 2)), StepGrowth(0.3, 0.1))
     assert (len(none.variances.rot1), none.growth) == (0, StepGrowth(0.3, 0.1))
-
-
-OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
 
 
 def test_subtraction_publishes_noisy_minus_clean_and_correction_the_rigid_motion(tmp_path):

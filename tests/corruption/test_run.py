@@ -11,7 +11,6 @@ from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from io import StringIO
 from operator import itemgetter
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,8 +29,8 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import BagError
 from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.model.noise_laws import Coefficients
+from recordings import FIXTURES
 
-FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
 BAGS = ["office.bag", "office.mcap", "office_ros2"]
 
 

@@ -4,7 +4,6 @@ import sqlite3
 from contextlib import closing
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -40,6 +39,7 @@ from odomcorrupt.corruption.transform import Options, Transform
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import Increments, accumulate, between, compose, inverse, wrap
+from recordings import FIXTURES
 
 EFFECTS = (effect_from_values("unequal_wheels", {"curvature": 0.02}), effect_from_values("gyro_bias", {"bias": 0.01}))
 CHANNELS = {c.id: c for c in (ODOM, TF, IMU)}
@@ -339,7 +339,6 @@ def test_a_log_clock_that_stands_still_does_not_hold_the_whole_bag():
     assert held < 20
 
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 NOISE = ("--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7")
 
 

@@ -54,8 +54,8 @@ from odomcorrupt.study.select.contribution import FAR_M
 from odomcorrupt.study.select.decisions import DECISIONS as D
 from odomcorrupt.study.validate import round_trip
 from odomcorrupt.study.validate.goodness_of_fit import PRACTICAL_FACTOR
+from recordings import OFFICE, ROOT
 
-ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md")])
 
@@ -275,7 +275,6 @@ def test_the_table_of_scans_has_the_values_of_the_code():
     assert f"{ground._MOST_DISCS} at most" in rows["`region_slip`"]
 
 
-OFFICE = ROOT / "fixtures" / "office.mcap"
 NOISE = "schema = 1\n[noise]\nlaw = 'diffusion'\nrot_rot = 0.1\nrot_trans = 0.05\ntrans_trans = 0.1\ntrans_rot = 0\n"
 LOCALISER = """
 import shutil, sys

@@ -5,7 +5,6 @@ import math
 import re
 import textwrap
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -22,6 +21,7 @@ from odomcorrupt.effects.wheels import brings_track
 from odomcorrupt.errors import EffectError
 from odomcorrupt.model.model_file import parse_model
 from odomcorrupt.testing import ContractError, check_effect
+from recordings import ROOT
 
 
 @pytest.mark.parametrize("name", registry())
@@ -248,7 +248,7 @@ def test_two_slopes_at_right_angles_make_every_slope():
     assert east + north == pytest.approx(whole, abs=1e-15)
 
 
-PAGE = (Path(__file__).parents[2] / "docs" / "effects.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
 
 
 def block(language):

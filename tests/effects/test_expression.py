@@ -24,6 +24,7 @@ from odomcorrupt.effects.expression import parse_expression, user_effect
 from odomcorrupt.errors import EffectError, ModelError
 from odomcorrupt.inspection import scan_bag
 from odomcorrupt.model.model_file import format_model, parse_model
+from recordings import FIXTURES
 
 HEAD = 'schema = 1\n[noise]\nlaw = "diffusion"\nrot_rot=0\nrot_trans = 0\ntrans_trans=0\ntrans_rot = 0\n[[effect]]\n'
 
@@ -314,7 +315,7 @@ def test_json_lists_all():
     assert [e["name"] for e in json.loads(page("--json"))["effects"]] == list(registry())
 
 
-OFFICE = str(Path(__file__).parent.parent.parent / "fixtures" / "office.mcap")
+OFFICE = str(FIXTURES / "office.mcap")
 WOBBLE = """
 from dataclasses import dataclass
 from typing import ClassVar

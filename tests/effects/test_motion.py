@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,6 +24,7 @@ from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.io.recording import Recording
+from recordings import OFFICE
 
 SILENT = Noise("diffusion", Coefficients(0, 0, 0, 0))
 
@@ -295,7 +295,6 @@ def test_a_delay_is_taken_out_where_a_filter_is_not():
     assert off["filter"] > 0.01
 
 
-OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
 EVENTS = [name for name, kind in registry().items() if kind.kind == "event"]
 N = 1001
 STAMPS = 10**18 + np.arange(N) * 20_000_000

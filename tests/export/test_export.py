@@ -4,7 +4,6 @@ import io
 import math
 import re
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,6 +27,7 @@ from odomcorrupt.export import (
 from odomcorrupt.geometry.se2 import Increments, accumulate, increments
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, Step
 from odomcorrupt.model.noise_laws import Coefficients
+from recordings import ROOT
 
 TRACK = 0.4
 DRIVE = Steady(0.5, 0.5, 50.0)
@@ -393,7 +393,7 @@ def test_a_steered_base_is_exported_for_its_own_controller_and_plugin(exported):
     assert "give --wheelbase, --wheel-radius" in exported("gazebo", more=more.format("car"))[3]
 
 
-PAGE = (Path(__file__).parents[2] / "docs" / "export.md").read_text(encoding="utf8")
+PAGE = (ROOT / "docs" / "export.md").read_text(encoding="utf8")
 K = {"rot_rot": 0.04, "rot_trans": 0.03, "trans_trans": 0.05, "trans_rot": 0.02}
 PAGE_DRIVE = Steady(0.5, 0.4, 50.0)
 

@@ -24,6 +24,7 @@ from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import BagError, ModelError
 from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import Coefficients
+from recordings import FIXTURES
 
 MB = 1 << 20
 MAGIC = b"\x89MCAP0\r\n"
@@ -271,7 +272,7 @@ def test_a_large_message_of_a_database_is_in_memory_once_or_not_at_all(tmp_path)
         assert block.table["length"].tolist() == [0, 1]
 
 
-OFFICE = str(Path(__file__).parents[2] / "fixtures" / "office.mcap")
+OFFICE = str(FIXTURES / "office.mcap")
 NOISE = "schema = 1\n[noise]\nrot_rot = 0\nrot_trans = 0\ntrans_trans = 0.1\ntrans_rot = 0\n"
 LONG = "x" * 900_000
 

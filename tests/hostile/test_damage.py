@@ -30,6 +30,7 @@ from smallbags import make_small_bags
 from odomcorrupt.bags.messages import gather, locate, scatter
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.cli import run
+from recordings import FIXTURES, OFFICE
 
 OURS = [sys.executable, "-m", "odomcorrupt"]
 NOBODY = 65534
@@ -281,10 +282,6 @@ def test_recovery_tells_what_it_lost_and_exits_with_3(kind, place, bags, tmp_pat
 def test_what_cannot_be_recovered_is_not_advised_to_recover(data, tmp_path):
     source, target = laid(tmp_path, data)
     assert "--recover" not in refused(source, target, "--recover")
-
-
-FIXTURES = Path(__file__).parents[2] / "fixtures"
-OFFICE = FIXTURES / "office.mcap"
 
 
 @pytest.mark.parametrize("most", [12, 16])

@@ -4,7 +4,6 @@ import importlib
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import click
 import pytest
@@ -16,8 +15,9 @@ from odomcorrupt.commands._standard import command_names
 from odomcorrupt.errors import MapError, OdomCorruptError
 from odomcorrupt.mapping.occupancy_grid import read_map
 from odomcorrupt.model.model_file import read_model
+from recordings import FIXTURES
 
-OFFICE = str(Path(__file__).parents[2] / "fixtures" / "office.mcap")
+OFFICE = str(FIXTURES / "office.mcap")
 MARK = "open({!r}, 'w').close()\n"
 COMMANDS = {name: importlib.import_module(module).command for name, module in command_names().items()}
 SETTINGS = {

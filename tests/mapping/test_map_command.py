@@ -27,12 +27,11 @@ from odomcorrupt.mapping.scan_map import place, read_rays, slow_rays, wall_thick
 from odomcorrupt.model.motion_model import MotionModel
 from odomcorrupt.model.presets import preset_named
 from odomcorrupt.trajectories import Drive, read_drive, read_poses
-from recordings import RECORDINGS
+from recordings import FIXTURES, OFFICE, RECORDINGS
 from rosmessages import STORES
 
 GAZEBO = RECORDINGS / "real" / "rob521_gazebo.mcap"
 OLIN = RECORDINGS / "bags" / "olin_tb4" / "macfirst_floor_take_2"
-OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
 
 
 @pytest.mark.recordings
@@ -174,7 +173,6 @@ def test_map_that_is_not_there_is_reported_in_one_line(arguments, code, word, to
     assert word in lines[0]
 
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 ALPHA = ["--alpha", "0.1", "0.1", "0.1", "0.1"]
 
 

@@ -4,7 +4,6 @@ import json
 import re
 from dataclasses import replace
 from html import unescape
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -37,6 +36,7 @@ from odomcorrupt.study.terms.term import BasisTerm
 from odomcorrupt.study.validate.held_out import without_parts
 from odomcorrupt.study.validate.lack_of_fit import Failure
 from odomcorrupt.summary import Line, Summary, command_line
+from recordings import ROOT
 
 PLANS = {one.name: plan_of(one, Limits(0.5, 0.8), 60.0) for one in MANOEUVRES}
 PLAN = next(plan for plan in PLANS.values() if plan.fastest_mps > 0.0)
@@ -554,7 +554,7 @@ def test_one_sentence_names_every_pair_once_and_the_drive(choices, sentence):
     assert said(*choices).endswith(", for 3 minutes") == ("drive straight" in sentence)
 
 
-PAGE = (Path(__file__).parents[2] / "docs" / "json.md").read_text(encoding="utf8")
+PAGE = (ROOT / "docs" / "json.md").read_text(encoding="utf8")
 
 
 @pytest.fixture(scope="module")

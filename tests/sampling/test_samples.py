@@ -5,7 +5,6 @@ import json
 import math
 import re
 from dataclasses import replace
-from pathlib import Path
 from typing import get_args
 
 import numpy as np
@@ -35,7 +34,7 @@ from odomcorrupt.sampling.samples import (
     with_noise,
 )
 from odomcorrupt.trajectories import Drive, Rule, integrate, noisy_twists, read_drive, read_poses
-from recordings import RECORDINGS
+from recordings import OFFICE, RECORDINGS, ROOT
 
 ARTICLE = EXAMPLES["article"]
 
@@ -378,7 +377,7 @@ def test_command_prints_what_to_type_next(capsys, told):
     assert json.loads(capsys.readouterr().out)["to"]["coefficients"]["rot_rot"] == pytest.approx(0.1)
 
 
-PAGE = (Path(__file__).parents[2] / "docs" / "laws.md").read_text()
+PAGE = (ROOT / "docs" / "laws.md").read_text()
 
 
 def test_every_law_is_in_the_table():
@@ -553,7 +552,6 @@ def test_noise_on_twists_drifts_as_white_noise_does():
 
 
 GAZEBO = RECORDINGS / "real" / "rob521_gazebo.mcap"
-OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
 
 
 @pytest.mark.recordings

@@ -6,7 +6,6 @@ import re
 import shlex
 import shutil
 import xml.etree.ElementTree as ET
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,8 +19,8 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.scoring.errors import Limits, ScoreError, path_errors
 from odomcorrupt.scoring.gate import _signed_rank, check, compare_paired, parse_rule, typical_of
 from odomcorrupt.scoring.run import breakdown, growth, score, sections, summarise
+from recordings import OFFICE, ROOT
 
-OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
 NOISE = ("--alpha", "0.05", "0.02", "0.05", "0.01")
 
 
@@ -253,7 +252,7 @@ def test_the_first_word_is_the_gates_result_and_the_exit_code(batch, estimates, 
 def test_the_json_page_names_every_key(batch, estimates, told):
     spoil(estimates / "run_000005.tum", shift_m=3.0)
     table = json.loads(told(["score", str(batch / "trajectories"), "--outputs", str(estimates), "--json"]).out)
-    page = (Path(__file__).parents[2] / "docs" / "json.md").read_text()
+    page = (ROOT / "docs" / "json.md").read_text()
     section = page.split("## `score --json`", 1)[1].split("\n## ", 1)[0]
     missing = {key for key in keys_of(table) if f"`{key}`" not in section and f"`{key}[]`" not in section}
     assert missing == {"schema"}

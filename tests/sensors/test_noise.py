@@ -15,8 +15,8 @@ from rosbags.typesys import Stores, get_typestore
 import odomcorrupt
 from odomcorrupt.cli import run
 from odomcorrupt.errors import TopicError
+from recordings import FIXTURES
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 STILL = odomcorrupt.Noise(alpha=(0.0, 0.0, 0.0, 0.0))
 KALIBR = """# of a laboratory
 gyroscope_noise_density: {0}  #Noise density (continuous-time)
