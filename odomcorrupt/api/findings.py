@@ -19,9 +19,7 @@ from odomcorrupt.errors import ModelError, OdomCorruptError, RecordingError
 from odomcorrupt.extras import part_of_study
 from odomcorrupt.model.motion_model import NOISE_FREE
 from odomcorrupt.report import findings as texts
-from odomcorrupt.report.brief import findings_brief, fit_brief, mistakes_first
 from odomcorrupt.report.comparison import comparison_brief, comparison_json, comparison_text, reproduction_sentence
-from odomcorrupt.report.findings import clock_lines, effects_with_errors, numbers_text
 from odomcorrupt.report.plain import picked
 from odomcorrupt.result_files import refuse_existing, write_file
 from odomcorrupt.study.design.plan import drive_bag
@@ -75,7 +73,7 @@ class Fit(Result):
 
     def summary(self) -> Summary:
         """Return the error on the fitted data, the noise and the effects."""
-        return mistakes_first(fit_brief(self.result), self.recordings.mistakes)
+        return texts.mistakes_first(texts.fit_brief(self.result), self.recordings.mistakes)
 
     def details(self) -> str:
         """Return all coefficients with their intervals, effects, clocks, and downweighted segments."""
@@ -179,8 +177,8 @@ class SquareTest(Result):
         """Return the effects with standard errors, and the distance of the ends from the start before and after."""
         found = self.result
         lines = [
-            Line("" if i else "FITTED", f"{effect.name}  {', '.join(numbers_text(effect, errors))}", "good")
-            for i, (effect, errors) in enumerate(effects_with_errors(found))
+            Line("" if i else "FITTED", f"{effect.name}  {', '.join(texts.numbers_text(effect, errors))}", "good")
+            for i, (effect, errors) in enumerate(texts.effects_with_errors(found))
         ]
         before, after = (_rms(ends) for ends in (found.before, found.after))
         lines.append(Line("ends", f"{before} -> {after} (RMS of {len(found.before)} drives)"))
@@ -291,11 +289,11 @@ class Comparison(Result):
 
     def summary(self) -> Summary:
         """Return whether the last model is better than the first by all measures, and one line per model."""
-        return mistakes_first(comparison_brief(self.result), self.mistakes)
+        return texts.mistakes_first(comparison_brief(self.result), self.mistakes)
 
     def details(self) -> str:
         """Return clocks, the table of horizons, the models in order, and all lack of fit."""
-        lines = clock_lines(self.result.recordings, self.result.clocks)
+        lines = texts.clock_lines(self.result.recordings, self.result.clocks)
         return "\n".join([*lines, comparison_text(self.result)])
 
     def _values(self) -> dict[str, Any]:
@@ -468,8 +466,8 @@ class Diagnosis(Findings):
         """Return the missing effects, their size and probability, and the gain of each."""
         found = self.result
         notes, alerts = self.recordings.notes, self.recordings.alerts
-        brief = findings_brief(found.search, found.advice, found.sequence, notes=notes, alerts=alerts)
-        brief = mistakes_first(brief, self.recordings.mistakes)
+        brief = texts.findings_brief(found.search, found.advice, found.sequence, notes=notes, alerts=alerts)
+        brief = texts.mistakes_first(brief, self.recordings.mistakes)
         if all(run.positioned for run in self.recordings):
             return brief
         said = "wheels and a gyro alone do not show it: wheel_scale, speed_scale and similar effects are not testable"
@@ -549,12 +547,12 @@ class Learned(Findings):
         """Return the findings, their size and probability, and the held-out errors without and with them."""
         found = self.result
         notes = replace(self.recordings, runs=tuple(found.recordings)).notes
-        brief = findings_brief(
+        brief = texts.findings_brief(
             found.search, found.advice, found.comparison, robot=found.robot, reproduction=found.reproduction,
             written=found.proof.model, notes=(*found.dropped, *found.proof.changes, *notes),
             alerts=(*found.alerts, *self.recordings.alerts),
         )  # fmt: skip
-        return mistakes_first(brief, self.recordings.mistakes)
+        return texts.mistakes_first(brief, self.recordings.mistakes)
 
     def details(self) -> str:
         """Return the findings, undecided alternatives, the fit, and the full comparison."""

@@ -14,9 +14,17 @@ from odomcorrupt.cli import run
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.report import findings as texts
-from odomcorrupt.report.brief import _found_lines, _mounting_words, findings_brief
 from odomcorrupt.report.comparison import comparison_text, rejection, within
-from odomcorrupt.report.findings import Found, dependences_found, effects_found, foremost, is_unexplained
+from odomcorrupt.report.findings import (
+    Found,
+    _found_lines,
+    _mounting_words,
+    dependences_found,
+    effects_found,
+    findings_brief,
+    foremost,
+    is_unexplained,
+)
 from odomcorrupt.report.html import found_html
 from odomcorrupt.report.plain import finite
 from odomcorrupt.report.plots.comparison import draw_candidates, draw_plan, draw_unknown
@@ -190,7 +198,7 @@ def doubted(confidence):
 
 
 def test_a_part_that_is_hardly_a_cause_is_no_finding_beside_others(rich, sequence, monkeypatch):
-    monkeypatch.setattr("odomcorrupt.report.brief.effects_found", doubted(0.02))
+    monkeypatch.setattr("odomcorrupt.report.findings.effects_found", doubted(0.02))
     known = replace(rich, unknown=UNKNOWNS[:1], laws=UNKNOWNS[:1])
     lines = findings_brief(known, NONE, sequence).lines
     assert not any(line.label == "perhaps" or line.text.startswith("unequal_wheels  ") for line in lines)
@@ -210,7 +218,7 @@ def test_a_rejected_model_is_shown_with_its_errors_however_long_the_rest_is(rich
 
 
 def test_a_name_below_even_odds_follows_dependences_and_noise_with_perhaps(rich, sequence, monkeypatch):
-    monkeypatch.setattr("odomcorrupt.report.brief.effects_found", doubted(0.27))
+    monkeypatch.setattr("odomcorrupt.report.findings.effects_found", doubted(0.27))
     known = replace(rich, unknown=UNKNOWNS[:1], laws=UNKNOWNS[:1])
     lines = findings_brief(known, NONE, sequence).lines
     assert lines[0].text.startswith("the yaw error depends on speed")
@@ -687,7 +695,6 @@ def test_noise_is_no_headline_beside_doubtful_effects_that_leave_errors(rich, se
     only = replace(sequence, evaluations=(replace(last, verdict=replace(last.verdict, misfit=3.0)),))
     assert findings_brief(known, NONE, only).lines[0].label == "PROBABLY"
     sure = [Found(rich.noise[0].effect, (), 0.9, 25.0)]
-    for module in ("odomcorrupt.report.brief", "odomcorrupt.report.findings"):
-        monkeypatch.setattr(f"{module}.effects_found", doubted(0.27))
-        monkeypatch.setattr(f"{module}.noise_found", lambda _: sure)
+    monkeypatch.setattr("odomcorrupt.report.findings.effects_found", doubted(0.27))
+    monkeypatch.setattr("odomcorrupt.report.findings.noise_found", lambda _: sure)
     assert findings_brief(known, NONE, only).lines[0].label == "UNKNOWN"

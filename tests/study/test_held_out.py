@@ -19,8 +19,7 @@ from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.report.brief import findings_brief
-from odomcorrupt.report.findings import clocks_found
+from odomcorrupt.report.findings import clocks_found, findings_brief
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study import pipeline
 from odomcorrupt.study.estimate.calibrate import fit_robot, model_of

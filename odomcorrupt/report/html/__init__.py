@@ -17,33 +17,9 @@ import numpy as np
 from odomcorrupt import __version__
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.se2 import between, compose
-from odomcorrupt.report.comparison import (
-    MOST,
-    SIGNS,
-    evaluation_sentence,
-    falls_sentence,
-    horizon_cells,
-    rejection,
-    sentence,
-    sequence_steps,
-    share_of_worst,
-    size,
-)
-from odomcorrupt.report.findings import (
-    NOTHING,
-    advice_sentences,
-    clock_lines,
-    dependences_found,
-    drive_sentence,
-    effects_found,
-    evidence_words,
-    foremost,
-    limit_size,
-    noise_found,
-    selected_instead,
-    unnamed,
-    words_text,
-)
+from odomcorrupt.report import comparison as comparisons
+from odomcorrupt.report import findings as texts
+from odomcorrupt.report import score as scores
 from odomcorrupt.report.plots.comparison import (
     PICTURES,
     draw_candidates,
@@ -55,16 +31,6 @@ from odomcorrupt.report.plots.comparison import (
 )
 from odomcorrupt.report.plots.figure import rendered
 from odomcorrupt.report.plots.score import along, draw_alone, drift, places
-from odomcorrupt.report.score import (
-    METRIC_HEADS,
-    POINT_HEADS,
-    RUN_HEADS,
-    gate_lines,
-    metric_rows,
-    point_rows,
-    run_cells,
-    sentences,
-)
 from odomcorrupt.scoring.gate import quantity
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.validate.calibration import HORIZONS_M
@@ -157,24 +123,30 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]], caption: str = ""
     return f'<div class="scroll"><table>{title}<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
+_SIGNS = f'<p class="quiet">{escape(comparisons.SIGNS)}</p>'
+
+
 def score_html(report: ScoreReport, verdicts: Sequence[Verdict]) -> str:
     """Return the HTML page."""
     title = f"Localisation under drift: {report.estimate}, {len(report.runs)} runs"
-    first, *rest = sentences(report)
+    first, *rest = scores.sentences(report)
     sections = [
         [f"{s.from_m:.1f} to {s.to_m:.1f} m", f"{s.xy_m[0]:.2f}, {s.xy_m[1]:.2f}", str(s.runs),
          quantity("_m", s.median_m), quantity("_m", s.p90_m), f"!{s.failures}" if s.failures else "0"]
         for s in report.sections
     ]  # fmt: skip
+    point_rows, metric_rows = (
+        [list(map(escape, row)) for row in rows] for rows in (scores.point_rows(report), scores.metric_rows(report))
+    )
     runs = []
     # largest number of runs in the table; the worst ones are listed
     for run in sorted(report.runs, key=lambda run: -run.metrics.get("ate_m", float("inf")))[:1000]:
-        *cells, status = map(escape, run_cells(run))
+        *cells, status = map(escape, scores.run_cells(run))
         runs.append([*cells, status if run.status == "ok" else f"!{status}"])
     body = [
         f"<h1>{escape(title)}</h1>",
         f'<p class="quiet">Truth: {escape(report.truth)}. Alignment: {escape(report.align)}.</p>',
-        *(f'<p class="verdict{" rejected" if v.failed else ""}">{"<br>".join(map(escape, gate_lines([v])))}</p>'
+        *(f'<p class="verdict{" rejected" if v.failed else ""}">{"<br>".join(map(escape, scores.gate_lines([v])))}</p>'
           for v in verdicts),
         f"<p><strong>{escape(first)}</strong></p>",
         *(f"<p>{escape(sentence)}</p>" for sentence in rest),
@@ -187,12 +159,12 @@ def score_html(report: ScoreReport, verdicts: Sequence[Verdict]) -> str:
             draw_alone(along, report, 8.0, 4.2),
         ),
         picture("places", "Where it fails", "Crosses: where runs were lost.", draw_alone(places, report, 7.0, 6.0)),
-        table(POINT_HEADS, [list(map(escape, row)) for row in point_rows(report)]) if len(report.points) > 1 else "",
+        table(scores.POINT_HEADS, point_rows) if len(report.points) > 1 else "",
         "<h2>Over runs</h2>",
-        table(METRIC_HEADS, [list(map(escape, row)) for row in metric_rows(report)]),
+        table(scores.METRIC_HEADS, metric_rows),
         table(_SECTION_HEADS, sections, "Along the path"),
         "<h2>Runs</h2>",
-        table(RUN_HEADS, runs, "The worst first"),
+        table(scores.RUN_HEADS, runs, "The worst first"),
         *(f'<p class="quiet">Note: {escape(note)}.</p>' for note in report.notes),
     ]  # fmt: skip
     return page(title, body, _SCORE_LEGEND.format(report.limits))
@@ -238,8 +210,8 @@ def explorer(comparison: Comparison) -> str:
 def failure_items(evaluation: ModelEvaluation, number: int) -> str:
     """Return a model's lacks of fit as a list; the script highlights each of them on path and residuals."""
     items = (
-        f'<li data-look="{number},{i}">{escape(sentence(failure))}</li>'
-        for i, failure in enumerate(evaluation.failures[:MOST])
+        f'<li data-look="{number},{i}">{escape(comparisons.sentence(failure))}</li>'
+        for i, failure in enumerate(evaluation.failures[: comparisons.MOST])
     )
     return f"<ol>{''.join(items)}</ol>"
 
@@ -323,7 +295,7 @@ def _model(evaluation: ModelEvaluation, stretches: list[_Stretch], with_runs: in
             for h in evaluation.horizons if h.distance_m in HORIZONS_M
             for low, high in [rms_interval(h.position_measured, h.windows)]
         ],
-        "failures": [_failure(failure, evaluation, stretches) for failure in evaluation.failures[:MOST]],
+        "failures": [_failure(failure, evaluation, stretches) for failure in evaluation.failures[:comparisons.MOST]],
     }  # fmt: skip
 
 
@@ -419,7 +391,7 @@ def report_html(comparison: Comparison) -> str:
 
 def _words(comparison: Comparison) -> list[str]:
     parts = []
-    falls = falls_sentence(comparison)
+    falls = comparisons.falls_sentence(comparison)
     if falls:
         parts.append(
             f"<p><strong>{escape(falls[0].upper() + falls[1:])}</strong> (position, 10 s after the truth).</p>"
@@ -427,28 +399,28 @@ def _words(comparison: Comparison) -> list[str]:
     for number, evaluation in enumerate(comparison.evaluations):
         mark = "verdict rejected" if evaluation.verdict.fails else "verdict"
         parts.append(f"<h3>{escape(evaluation.name)}</h3>")
-        parts.append(f'<p class="{mark}">{escape(evaluation_sentence(evaluation))}.</p>')
+        parts.append(f'<p class="{mark}">{escape(comparisons.evaluation_sentence(evaluation))}.</p>')
         if evaluation.failures:
             parts.append(failure_items(evaluation, number))
-            more = len(evaluation.failures) - MOST
+            more = len(evaluation.failures) - comparisons.MOST
             if more > 0:
                 parts.append(f'<p class="quiet">And {more} more, less significant; --json has them all.</p>')
         else:
             parts.append("<p>No motion, time, place or moment in which it fails.</p>")
         parts += [f'<p class="quiet">Note: {prose(note)}.</p>' for note in evaluation.notes]
-    parts.append(f'<p class="quiet">{escape(SIGNS)}</p>')
+    parts.append(_SIGNS)
     return parts
 
 
 def sequence_table(comparison: Comparison) -> str:
     """Return a table of errors, nats and verdict of every model in the sequence, with bars for the errors."""
-    steps = sequence_steps(comparison)
+    steps = comparisons.sequence_steps(comparison)
     rows = []
     for name, error, evaluation in steps:
-        width = 6.0 * share_of_worst(steps, error)
+        width = 6.0 * comparisons.share_of_worst(steps, error)
         cells = [
             escape(name),
-            size("along", error, digits=3),
+            comparisons.size("along", error, digits=3),
             f'<span class="bar" style="width:{width:.2f}rem"></span>',
         ]
         if evaluation is None:
@@ -476,7 +448,7 @@ def _horizon_table(evaluation: ModelEvaluation) -> str:
              "in 50 %", "in 90 %", "CRPS along, across, yaw")  # fmt: skip
     rows = []
     for h in evaluation.horizons:
-        *cells, nees, chance, half, most = horizon_cells(h)
+        *cells, nees, chance, half, most = comparisons.horizon_cells(h)
         mark = "" if h.nees_bounds[0] <= h.nees <= h.nees_bounds[1] else "!"
         crps = ", ".join(_known(channel, value) for channel, value in zip(CHANNELS, h.crps, strict=True))
         rows.append([*cells, mark + nees, chance, half, most, crps])
@@ -484,7 +456,7 @@ def _horizon_table(evaluation: ModelEvaluation) -> str:
 
 
 def _known(channel: str, value: float) -> str:
-    return size(channel, float(value), digits=3)
+    return comparisons.size(channel, float(value), digits=3)
 
 
 _COMPARISON_LEGEND = (
@@ -508,7 +480,11 @@ def found_html(learned: Learned, sequence: Comparison, advice: Advice, following
     last, left = len(sequence.evaluations) - 1, []
     if sequence.evaluations[last].failures:
         items = failure_items(sequence.evaluations[last], last)
-        left = ["<h2>Where the last model still does not fit</h2>", items, f'<p class="quiet">{escape(SIGNS)}</p>']
+        left = [
+            "<h2>Where the last model still does not fit</h2>",
+            items,
+            f'<p class="quiet">{escape(comparisons.SIGNS)}</p>',
+        ]
     body = [
         f"<h1>What is missing: {escape(title)}</h1>",
         f'<p class="verdict{mark}">{escape(_verdict(learned, sequence))}</p>',
@@ -527,10 +503,10 @@ def found_html(learned: Learned, sequence: Comparison, advice: Advice, following
     if learned.unknown:
         body.append(picture("unknown", "What no known effect explains", _UNKNOWN, draw_unknown(learned.unknown)))
     if advice.best is not None:
-        caption = f"What to drive: {drive_sentence(advice.best)}. `--drive next.mcap` writes it as /cmd_vel."
+        caption = f"What to drive: {texts.drive_sentence(advice.best)}. `--drive next.mcap` writes it as /cmd_vel."
         body.append(picture("drive", "The next drive", caption, draw_plan(advice.best)))
     if advice.limits:  # side by side, to save height
-        rows = [[escape(f"{e.effect} {e.parameter}"), escape(limit_size(e))] for e in advice.limits]
+        rows = [[escape(f"{e.effect} {e.parameter}"), escape(texts.limit_size(e))] for e in advice.limits]
         half = -(-len(rows) // 2)
         halves = [table(("effect", "smallest size"), some) for some in (rows[:half], rows[half:]) if some]
         body += ["<h2>Smallest detectable sizes</h2>", f'<div class="beside">{"".join(halves)}</div>']
@@ -561,22 +537,22 @@ _UNKNOWN = (
 
 def _verdict(learned: Learned, sequence: Comparison) -> str:
     parts = []
-    found = [one for one in effects_found(learned) if one.effect.name not in learned.of_setup]
+    found = [one for one in texts.effects_found(learned) if one.effect.name not in learned.of_setup]
     if names := [" or ".join([one.names, *one.rivals]) + " (negligible)" * one.negligible for one in found]:
         parts.append(f"missing: {', then '.join(names)}")
     if learned.noise:
         parts.append(f"noise found: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")
     if learned.unknown:
-        parts.append(evidence_words(learned.unknown[0]))
+        parts.append(texts.evidence_words(learned.unknown[0]))
     # the sequence contains no noise term: its lack of fit may be due to the noise found
     last = sequence.evaluations[-1]
-    why = rejection(last) if last.verdict.fails and not (learned.unknown or learned.noise) else ""
-    text = "; ".join([*parts, unnamed(why, found=bool(parts))] if why else parts) or NOTHING
+    why = comparisons.rejection(last) if last.verdict.fails and not (learned.unknown or learned.noise) else ""
+    text = "; ".join([*parts, texts.unnamed(why, found=bool(parts))] if why else parts) or texts.NOTHING
     return f"{text[0].upper()}{text[1:]}."
 
 
 def _next(learned: Learned, sequence: Comparison, advice: Advice, following: str) -> str:
-    items = [*advice_sentences(advice, selected_instead(learned))]
+    items = [*texts.advice_sentences(advice, texts.selected_instead(learned))]
     items += [f"suggested: {u.expression}" for u in learned.unknown[:3] if u not in learned.laws]
     listed = f"<ul>{''.join(f'<li>{prose(item)}.</li>' for item in items)}</ul>" if items else ""
     command = f"<pre>{escape(following)}</pre>" if following else ""
@@ -596,12 +572,12 @@ def _cards(learned: Learned, sequence: Comparison) -> list[str]:
     """Return all findings as cards: name, numbers, confidence, and the error before and after."""
     names = [recording.name for recording in learned.fit.problem.recordings]
     found = []
-    for line in clock_lines(names, learned.clocks):
+    for line in texts.clock_lines(names, learned.clocks):
         name, _, value = line.partition(": the odometry's clock is off: ")
         found.append(_card("setup", "clock", [*_values([value]), f"<p>of {escape(name)}</p>"]))
-    found += [_effect(one, sequence) for one in (*effects_found(learned), *noise_found(learned))]
-    for unknown in foremost(dependences_found(learned), 3):
-        said = f"{evidence_words(unknown.law)}; {'fitted' if unknown.fitted else 'suggested'}:"
+    found += [_effect(one, sequence) for one in (*texts.effects_found(learned), *texts.noise_found(learned))]
+    for unknown in texts.foremost(texts.dependences_found(learned), 3):
+        said = f"{texts.evidence_words(unknown.law)}; {'fitted' if unknown.fitted else 'suggested'}:"
         found.append(
             _card("unknown", "unknown", [f"<p>{escape(said)}</p>", f"<p><code>{escape(unknown.expression)}</code></p>"])
         )
@@ -625,9 +601,9 @@ def _effect(one: Found, sequence: Comparison) -> str:
     for model, extended in pairwise(sequence.evaluations):
         before, after = model.ten_second_error_m, extended.ten_second_error_m
         if extended.name == f"+ {effect.name}" and isfinite(before) and isfinite(after):
-            change = f"{size('along', before)} → <strong>{size('along', after)}</strong>"
+            change = f"{comparisons.size('along', before)} → <strong>{comparisons.size('along', after)}</strong>"
             lines.append(f"<p>10 s error {change}, held out</p>")
-    return _card(effect.kind, one.names if noise else effect.name + words_text(effect), lines)
+    return _card(effect.kind, one.names if noise else effect.name + texts.words_text(effect), lines)
 
 
 def _values(numbers: Iterable[str]) -> list[str]:

@@ -13,7 +13,7 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import Increments, accumulate, compose, increments
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.report.brief import mistakes_first
+from odomcorrupt.report.findings import mistakes_first
 from odomcorrupt.simulation import Segment, Tracker, simulate
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.io.first_look import factors_of, first_look, mistakes_alone
