@@ -136,7 +136,7 @@ def test_a_seed_is_drawn_printed_and_repeats_the_run(corrupt):
 )  # fmt: skip
 def test_alpha_takes_as_many_numbers_as_the_law_has_wherever_it_stands(tmp_path, told, alphas, law, said_back):
     target = tmp_path / "out.mcap"
-    assert said_back in told(["--law", law, "--alpha", *alphas.split(), OFFICE, str(target), "-v", "--seed", "1"]).err
+    assert said_back in told(["--law", law, "--alpha", *alphas.split(), OFFICE, target, "-v", "--seed", "1"]).err
     assert run([OFFICE, str(target), "--overwrite", "--law", law, "--seed", "1", "--alpha", *alphas.split()]) == 0
 
 

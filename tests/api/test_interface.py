@@ -68,11 +68,6 @@ def test_a_path_of_numbers_is_corrupted_as_the_bag_is(tmp_path):
     assert np.abs(ours[1] - ours[0]).max() > 0.01
 
 
-def printed(words, capsys):
-    assert run([*map(str, words), "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
 @pytest.mark.parametrize(
     ("options", "arguments"),
     [
@@ -85,9 +80,9 @@ def printed(words, capsys):
     ],
     ids=["plain", "noise", "topics"],
 )
-def test_integrated_odometry_is_that_of_the_command_line(options, arguments, tmp_path, capsys):
+def test_integrated_odometry_is_that_of_the_command_line(options, arguments, tmp_path, told):
     words = ["integrate", OFFICE, tmp_path / "b.mcap", *options.split(), "--plot", tmp_path / "b.png"]
-    values = printed(words, capsys)
+    values = json.loads(told([*words, "--json"]).out)
     done = oc.integrate(OFFICE, **arguments)
     assert done.to_dict() == values
     assert done.save(tmp_path / "a.mcap").messages == len(done.rows()) == 3000
@@ -111,10 +106,10 @@ def test_integrated_odometry_has_its_runs_and_its_errors():
 
 
 @pytest.mark.slow
-def test_maps_by_odometry_are_those_of_the_command_line(tmp_path, capsys):
+def test_maps_by_odometry_are_those_of_the_command_line(tmp_path, told):
     options = [*ALPHA, "--seed", "7", "--run", "2", "--resolution", "0.2"]
     more = ["--max-yaw-rate", "0.5", "--truth", "/odom", "--laser-pose", "0.1,0,0.1"]
-    values = printed(["map", OFFICE, "-o", tmp_path / "b.png", *options, *more], capsys)
+    values = json.loads(told(["map", OFFICE, "-o", tmp_path / "b.png", *options, *more, "--json"]).out)
     stages = []
     done = oc.draw_maps(
         OFFICE, NOISE, seed=7, run=2, resolution=0.2, max_yaw_rate=0.5, truth="/odom", laser_pose=(0.1, 0.0, 0.1),
@@ -182,7 +177,7 @@ def test_corrupting_again_is_said(tmp_path, told):
     again = oc.corrupt(tmp_path / "a.mcap", tmp_path / "b.mcap", model=NOISE, seed=8)
     assert again.earlier[0]["seed"] == "7"
     assert "was corrupted before (seed 7" in str(again)
-    stored = json.loads(told(["info", str(tmp_path / "b.mcap"), "--json"]).out)["provenance"]
+    stored = json.loads(told(["info", tmp_path / "b.mcap", "--json"]).out)["provenance"]
     assert [(one["seed"], one["run"]) for one in stored] == [("7", "0"), ("8", "0")]
     assert all("rot_trans = 0.02" in one["model"] for one in stored)
 

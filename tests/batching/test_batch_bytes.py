@@ -426,24 +426,22 @@ def runs(here):
     return next(Path("runs").glob("run_*"))
 
 
-def refused(capsys, *words):
-    capsys.readouterr()
-    assert run(["assemble", *map(str, words)]) == 1
-    said = capsys.readouterr().err
+def refused(told, *words):
+    said = told(["assemble", *words], 1).err
     assert said.count("\n") == 1
     assert not Path("out.mcap").exists()
     return said
 
 
-def test_an_input_that_is_gone_or_another_is_reported(runs, capsys):
+def test_an_input_that_is_gone_or_another_is_reported(runs, told):
     shutil.move("in.mcap", "moved.mcap")
-    assert "the batch's input is not there; name it with --input" in refused(capsys, runs, "out.mcap")
+    assert "the batch's input is not there; name it with --input" in refused(told, runs, "out.mcap")
     shutil.copy("whole.mcap", "in.mcap")
-    assert "has changed since the batch was made from it" in refused(capsys, runs, "out.mcap")
+    assert "has changed since the batch was made from it" in refused(told, runs, "out.mcap")
     assert run(["assemble", str(runs), "out.mcap", "--input", "moved.mcap"]) == 0
 
 
-def test_an_overlay_does_not_go_into_a_bag_of_other_topics(runs, capsys):
-    said = refused(capsys, "whole.mcap", "out.mcap", "--input", runs)
+def test_an_overlay_does_not_go_into_a_bag_of_other_topics(runs, told):
+    said = refused(told, "whole.mcap", "out.mcap", "--input", runs)
     assert "has topics that" in said
     assert "name the input it was made from" in said

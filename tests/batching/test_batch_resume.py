@@ -26,13 +26,17 @@ def files_of(directory):
     return {path.name: path.read_bytes() for path in directory.iterdir() if path.is_file()}
 
 
-def batch(count, *more, target="runs"):
-    return run(["batch", "in.mcap", target, "--runs", str(count), *TYPED, *more])
+@pytest.fixture
+def batch(told):
+    """Return a function that makes runs of a bag; see `told`."""
+    return lambda count, *more, target="runs", code=0: told(
+        ["batch", "in.mcap", target, "--runs", count, *TYPED, *more], code
+    )
 
 
-def test_killed_at_any_moment_it_leaves_whole_files_and_goes_on(here, monkeypatch):
+def test_killed_at_any_moment_it_leaves_whole_files_and_goes_on(here, monkeypatch, batch):
     monkeypatch.setattr("odomcorrupt.batching.engine.GROUP", 2)
-    assert batch(12, target="whole") == 0
+    batch(12, target="whole")
     program = "import odomcorrupt.batching.engine as e; e.GROUP = 2; from odomcorrupt.cli import run; import sys; "
     program += "sys.exit(run(sys.argv[1:]))"
     words = [sys.executable, "-c", program, "batch", "in.mcap", "runs", "--runs", "12", *TYPED]
@@ -50,7 +54,7 @@ def test_killed_at_any_moment_it_leaves_whole_files_and_goes_on(here, monkeypatc
         assert made < len(found) < 12, number
         made = len(found)
         before = {name: (here / "runs" / name).stat().st_mtime_ns for name in found}
-    assert batch(12) == 0
+    batch(12)
     assert files_of(here / "runs") == files_of(here / "whole") | {
         name: data for name, data in files_of(here / "runs").items() if name in {"manifest.jsonl", "batch.json"}
     }
@@ -61,7 +65,7 @@ def test_killed_at_any_moment_it_leaves_whole_files_and_goes_on(here, monkeypatc
 
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc")
 @pytest.mark.parametrize("threads", ["1", pytest.param("2", marks=pytest.mark.slow)], ids=["copied", "started"])
-def test_workers_of_a_killed_batch_end_and_leave_nothing(here, threads):
+def test_workers_of_a_killed_batch_end_and_leave_nothing(here, threads, batch):
     words = [sys.executable, "-m", "odomcorrupt", "batch", "in.mcap", "runs", "--runs", "400", "--jobs", "2", *TYPED]
     # threads of a linear algebra library forbid that a worker is a copy of the batch
     process = subprocess.Popen(words, stderr=subprocess.DEVNULL, env={**os.environ, "OPENBLAS_NUM_THREADS": threads})
@@ -75,7 +79,7 @@ def test_workers_of_a_killed_batch_end_and_leave_nothing(here, threads):
     while any(_runs(pid) for pid in workers) and time.monotonic() < deadline:
         time.sleep(0.01)
     assert not any(_runs(pid) for pid in workers)
-    assert batch(1) == 0
+    batch(1)
     assert not list(here.glob("runs/.*.partial"))
 
 
@@ -112,20 +116,20 @@ def test_leftovers_of_made_runs_and_of_the_batch_itself_are_swept(here, dead):
     assert {name: data for name, data in files_of(here / "runs").items() if "partial" not in name} == whole
 
 
-def test_a_batch_that_was_killed_before_it_began_is_begun(here, dead):
+def test_a_batch_that_was_killed_before_it_began_is_begun(here, dead, batch):
     (here / "runs" / ".parts").mkdir(parents=True)
     (here / "runs" / f".batch.json.{HOST}.{dead}.0123abcd.partial").write_bytes(b"{")
-    assert batch(1) == 0
+    batch(1)
     assert not list((here / "runs").glob(".*.partial"))
 
 
-def test_what_is_made_is_not_made_again_and_what_is_gone_is(here):
-    assert batch(3) == 0
+def test_what_is_made_is_not_made_again_and_what_is_gone_is(here, batch):
+    batch(3)
     times = {path.name: path.stat().st_mtime_ns for path in here.glob("runs/run_*")}
     gone = here / "runs" / "run_000001.mcap"
     data = gone.read_bytes()
     gone.unlink()
-    assert batch(5) == 0
+    batch(5)
     assert gone.read_bytes() == data
     assert all((here / "runs" / name).stat().st_mtime_ns == then for name, then in times.items() if name != gone.name)
     assert len(records(here / "runs")) == 5
@@ -144,37 +148,33 @@ OTHERWISE = {
 }  # fmt: skip
 
 
-def test_what_was_begun_otherwise_is_refused_with_the_way_out(here, capsys):
-    assert batch(1) == 0
-    assert "odomcorrupt spread" not in capsys.readouterr().err  # of one run
+def test_what_was_begun_otherwise_is_refused_with_the_way_out(here, batch):
+    assert "odomcorrupt spread" not in batch(1).err  # of one run
     for named, more in OTHERWISE.items():
-        assert batch(2, more) == 1
-        said = capsys.readouterr().err
+        said = batch(2, more, code=1).err
         assert named in said
         assert "name another directory" in said
     assert len(list(here.glob("runs/run_*"))) == 1
 
 
-def test_a_changed_input_is_noticed_by_one_byte(here, capsys):
-    assert batch(1) == 0
+def test_a_changed_input_is_noticed_by_one_byte(here, batch):
+    batch(1)
     data = bytearray((here / "in.mcap").read_bytes())
     data[len(data) // 2] ^= 1
     stat = (here / "in.mcap").stat()
     (here / "in.mcap").write_bytes(data)
     os.utime("in.mcap", ns=(stat.st_atime_ns, stat.st_mtime_ns))
-    assert batch(2) == 1
-    assert "another input" in capsys.readouterr().err
+    assert "another input" in batch(2, code=1).err
 
 
-def test_a_directory_of_other_things_is_refused(here, capsys):
+def test_a_directory_of_other_things_is_refused(here, batch):
     (here / "runs").mkdir()
     (here / "runs" / "precious").touch()
-    assert batch(1) == 1
-    assert "holds files, but no batch" in capsys.readouterr().err
+    assert "holds files, but no batch" in batch(1, code=1).err
     assert [path.name for path in (here / "runs").iterdir()] == ["precious"]
 
 
-def test_a_run_that_fails_once_is_made_the_second_time_and_one_that_fails_always_is_reported(here, monkeypatch, capsys):
+def test_a_run_that_fails_once_is_made_the_second_time_and_one_that_fails_always_is_reported(here, monkeypatch, batch):
     failed = {2: 1, 3: 99}
     begin = making._begin
 
@@ -185,56 +185,51 @@ def test_a_run_that_fails_once_is_made_the_second_time_and_one_that_fails_always
         return begin(job, number, *rest)
 
     monkeypatch.setattr(making, "_begin", failing)
-    assert batch(5) == 1
-    said = capsys.readouterr().err
+    said = batch(5, code=1).err
     assert "4 runs made now" in said
     assert "1 runs, tried twice; run 3: no luck with 3" in said
     assert sorted(path.name for path in here.glob("runs/run_*")) == [f"run_{k:06d}.mcap" for k in (0, 1, 2, 4)]
     monkeypatch.setattr(making, "_begin", begin)
-    assert batch(5) == 0
+    batch(5)
     assert len(records(here / "runs")) == 5
 
 
 @pytest.mark.slow
-def test_processes_and_shards_make_the_same_files_as_one(here):
-    assert batch(7, target="one") == 0
-    assert batch(7, "--jobs", "2", target="jobs") == 0
+def test_processes_and_shards_make_the_same_files_as_one(here, batch):
+    batch(7, target="one")
+    batch(7, "--jobs", "2", target="jobs")
     for shard in ("3/3", "1/3", "2/3"):
-        assert batch(7, "--shard", shard, target="shards") == 0
+        batch(7, "--shard", shard, target="shards")
     one = files_of(here / "one")
     assert {name for name in one if name.startswith("run_")} == {f"run_{k:06d}.mcap" for k in range(7)}
     assert files_of(here / "jobs") == one
     assert files_of(here / "shards") == one
 
 
-def test_a_dry_run_foretells_the_bytes_and_makes_nothing(here, capsys):
-    assert batch(200, "--dry-run") == 0
-    said = capsys.readouterr().out
+def test_a_dry_run_foretells_the_bytes_and_makes_nothing(here, batch):
+    said = batch(200, "--dry-run").out
     assert not (here / "runs").exists()
     assert said.startswith("NEEDS  200 runs to make, about ")
-    assert batch(4) == 0
+    batch(4)
     real = sum(path.stat().st_size for path in here.glob("runs/run_*")) / 4 * 200 / 1e9
     assert float(said.split("about ")[1].split(" GB")[0]) == pytest.approx(real, rel=0.02)
     assert "less" in said
 
 
-def test_a_full_disk_is_refused_before_anything_is_made(here, monkeypatch, capsys):
+def test_a_full_disk_is_refused_before_anything_is_made(here, monkeypatch, batch):
     monkeypatch.setattr("odomcorrupt.batching.engine.free_bytes", lambda _: 3_000_000)
-    assert batch(10) == 1
-    said = capsys.readouterr().err
+    said = batch(10, code=1).err
     assert "10 runs need about" in said
     assert "0.003 GB are free" in said
     assert "--output overlay would need" in said
-    assert batch(900_000_000) == 1
-    assert "900000000 runs need about" in capsys.readouterr().err
+    assert "900000000 runs need about" in batch(900_000_000, code=1).err
     assert not (here / "runs").exists()
-    assert batch(1) == 0
+    batch(1)
 
 
 @pytest.mark.parametrize("flag", ["--odom-topic", "--also"])
-def test_no_odometry_fails_at_once_and_leaves_nothing(flag, here, capsys):
-    assert batch(3, flag, "/nowhere") == 1
-    said = capsys.readouterr().err
+def test_no_odometry_fails_at_once_and_leaves_nothing(flag, here, batch):
+    said = batch(3, flag, "/nowhere", code=1).err
     assert "no topic /nowhere" in said
     assert "tried twice" not in said
     assert not (here / "runs").exists()
@@ -244,19 +239,18 @@ BROKEN = ["[1]", "5", "null", '"run"', "{}", '{"run": 0}', "\xff\xfe", '{"run": 
 BROKEN.append("[" * 100_000)
 
 
-def test_lines_of_the_manifest_that_are_none_are_passed_over(here, capsys):
-    assert batch(2) == 0
+def test_lines_of_the_manifest_that_are_none_are_passed_over(here, batch):
+    batch(2)
     whole = files_of(here / "runs")
     for path in (here / "runs" / "manifest.jsonl", here / "runs" / ".parts" / "elsewhere-1.jsonl"):
         with path.open("a", encoding="latin1") as stream:
             stream.write("\n".join(BROKEN) + "\n")
-    assert batch(2) == 0
-    assert "0 runs made now" in capsys.readouterr().err
+    assert "0 runs made now" in batch(2).err
     assert files_of(here / "runs") == whole
 
 
-def test_a_beginning_that_is_none_is_reported_in_a_line(here, told):
-    assert batch(1) == 0
+def test_a_beginning_that_is_none_is_reported_in_a_line(here, told, batch):
+    batch(1)
     again = ["batch", "in.mcap", "runs", "--runs", "1"]
     for text in ("[]", "5", "{}", "[" * 100_000, '{"seed": "x"}', "\xff", '{"seed": -1}', "null", ""):
         (here / "runs" / "batch.json").write_text(text, encoding="latin1")
@@ -266,16 +260,15 @@ def test_a_beginning_that_is_none_is_reported_in_a_line(here, told):
             assert said.count("\n") == 1
 
 
-def test_parts_that_is_no_directory_is_reported_in_a_line(here, capsys):
-    assert batch(1) == 0
+def test_parts_that_is_no_directory_is_reported_in_a_line(here, batch):
+    batch(1)
     shutil.rmtree(here / "runs" / ".parts")
     (here / "runs" / ".parts").touch()
-    assert batch(1) == 1
-    assert ".parts: cannot be made a directory" in capsys.readouterr().err
+    assert ".parts: cannot be made a directory" in batch(1, code=1).err
 
 
-def test_a_run_that_is_not_as_large_as_noted_is_made_again(here):
-    assert batch(2) == 0
+def test_a_run_that_is_not_as_large_as_noted_is_made_again(here, batch):
+    batch(2)
     path = here / "runs" / "run_000001.mcap"
     data = path.read_bytes()
     for harm in ("cut", "link"):
@@ -285,7 +278,7 @@ def test_a_run_that_is_not_as_large_as_noted_is_made_again(here):
             path.symlink_to(here / "elsewhere")
         else:
             os.truncate(path, 1000)
-        assert batch(2) == 0
+        batch(2)
         assert path.read_bytes() == data
         assert not path.is_symlink()
 
@@ -303,30 +296,26 @@ def test_a_changed_byte_is_found_where_sums_are_asked_for(kind, here, told):
     assert path.read_bytes() == data
 
 
-def test_a_record_of_a_file_elsewhere_counts_for_nothing(here, capsys):
-    assert batch(2) == 0
+def test_a_record_of_a_file_elsewhere_counts_for_nothing(here, batch):
+    batch(2)
     path = here / "runs" / "manifest.jsonl"
     first, second = path.read_text().splitlines()
     for name in ("../b0/run_000001.mcap", "/etc/hostname", "run_000002.mcap", "."):
         shutil.rmtree(here / "runs" / ".parts")
         path.write_text(first + "\n" + json.dumps(json.loads(second) | {"file": name}) + "\n")
-        capsys.readouterr()
-        assert batch(2) == 0
-        assert "1 runs made now, 2 in" in capsys.readouterr().err
+        assert "1 runs made now, 2 in" in batch(2).err
 
 
-def test_a_folder_has_one_batch_at_a_time_but_many_shards(here, capsys):
-    assert batch(1) == 0
+def test_a_folder_has_one_batch_at_a_time_but_many_shards(here, batch):
+    batch(1)
     with (here / "runs" / "batch.json").open("rb") as stream:
         fcntl.flock(stream, fcntl.LOCK_SH)
-        assert batch(2, "--shard", "1/2") == 0
-        capsys.readouterr()
-        assert batch(2) == 1
-    assert "another batch is running in it" in capsys.readouterr().err
-    assert batch(2) == 0
+        batch(2, "--shard", "1/2")
+        assert "another batch is running in it" in batch(2, code=1).err
+    batch(2)
 
 
-def test_of_two_that_begin_at_once_one_is_refused(here, monkeypatch, capsys):
+def test_of_two_that_begin_at_once_one_is_refused(here, monkeypatch, batch):
     assert run(["batch", "in.mcap", "other", "--runs", "1", "--seed", "8"]) == 0
     write = manifest.write_file
 
@@ -336,9 +325,7 @@ def test_of_two_that_begin_at_once_one_is_refused(here, monkeypatch, capsys):
         write(path, data, overwrite=overwrite)
 
     monkeypatch.setattr(manifest, "write_file", late)
-    capsys.readouterr()
-    assert batch(1) == 1
-    assert "another seed" in capsys.readouterr().err
+    assert "another seed" in batch(1, code=1).err
     assert not list(here.glob("runs/run_*"))
 
 

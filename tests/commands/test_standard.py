@@ -39,12 +39,12 @@ def test_every_command_has_the_standard_options(name, told):
 def test_the_output_is_named_once(tmp_path, told):
     assert run([OFFICE, "-o", str(tmp_path / "a.mcap"), "--seed", "1"]) == 0
     assert (tmp_path / "a.mcap").exists()
-    assert "both name the output" in told([OFFICE, str(tmp_path / "b.mcap"), "-o", str(tmp_path / "c.mcap")], 2).err
+    assert "both name the output" in told([OFFICE, tmp_path / "b.mcap", "-o", tmp_path / "c.mcap"], 2).err
 
 
 def test_a_verdict_everything_nothing_or_values(tmp_path, told):
     def said(*more):
-        return told([OFFICE, str(tmp_path / "a.mcap"), "--force", "--seed", "1", *more]).err
+        return told([OFFICE, tmp_path / "a.mcap", "--force", "--seed", "1", *more]).err
 
     brief = said()
     assert brief.startswith("MOVED ")
@@ -162,8 +162,8 @@ def test_an_effect_without_numbers_has_its_typical_size_and_says_so(tmp_path, to
 
 def test_a_step_may_be_a_distance_alone(tmp_path, told):
     numbers = ["--law", "linear", "--alpha", "0.05", "0.1", "0.05", "0.01", "--seed", "1"]
-    assert "once per 0.25m,0.2rad" in told([OFFICE, str(tmp_path / "a.mcap"), *numbers, "--step", "0.25m"]).err
-    assert "once per 0.25m,0.1rad" in told([OFFICE, str(tmp_path / "b.mcap"), *numbers, "--step", "0.1rad"]).err
+    assert "once per 0.25m,0.2rad" in told([OFFICE, tmp_path / "a.mcap", *numbers, "--step", "0.25m"]).err
+    assert "once per 0.25m,0.1rad" in told([OFFICE, tmp_path / "b.mcap", *numbers, "--step", "0.1rad"]).err
 
 
 NOISE = ["--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "1"]
@@ -230,7 +230,7 @@ def test_a_spread_begins_with_whether_it_is_the_predicted_one_and_is_drawn_over_
     assert (shown["runs"], shown["random_effects"], picture.stat().st_size > 1000) == (4, ["slip_burst"], True)
     table = [line.split() for line in full if len(line.split()) == 7 and line[0] == " "]
     assert [float(row[0]) for row in table] == pytest.approx([row["after_m"] for row in shown["rows"]], rel=1e-3)
-    assert "--overwrite" in told(["spread", runs, "-o", str(picture)], 1).err
+    assert "--overwrite" in told(["spread", runs, "-o", picture], 1).err
 
 
 def test_the_table_of_a_map_fits_a_hundred_columns(told):
@@ -302,7 +302,7 @@ def test_a_preset_is_printed_as_a_model_file_of_the_same_model(name, told, tmp_p
     assert read.standard_errors == pytest.approx(dict(preset.spread), rel=1e-2)
     assert asdict(read.noise.coefficients) == pytest.approx(asdict(preset.noise.coefficients), rel=1e-8)
     assert read.source["from"] == preset.source
-    assert f"(of {file})" in told([OFFICE, str(tmp_path / "out.mcap"), "-v", "--seed", "1", "--model", str(file)]).err
+    assert f"(of {file})" in told([OFFICE, tmp_path / "out.mcap", "-v", "--seed", "1", "--model", file]).err
 
 
 @pytest.mark.parametrize("name", [name for name, preset in PRESETS.items() if preset.spread][::3])
@@ -341,7 +341,7 @@ def test_topics_types_and_frames_give_a_robot_away(names, found):
 def test_info_and_a_run_without_noise_options_suggest_the_robot(tmp_path, told):
     bag, still = tmp_path / "husky.mcap", ["--alpha", "0", "0", "0", "0"]
     assert run([OFFICE, str(bag), "-q", *still, "--rename", "/odom=/husky_velocity_controller/odom"]) == 0
-    assert "robot     looks like a husky: --preset husky" in told(["info", str(bag)]).out
+    assert "robot     looks like a husky: --preset husky" in told(["info", bag]).out
     for words, said in (([], True), (["--preset", "husky"], False)):
         shown = told([bag, tmp_path / f"{said}.mcap", "--seed", "1", *words]).err
         assert ("looks like a husky: --preset husky" in shown) is said

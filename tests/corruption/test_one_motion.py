@@ -484,5 +484,5 @@ def test_a_batch_of_two_robots_has_the_bytes_of_single_runs(tmp_path):
 ])  # fmt: skip
 def test_what_cannot_be_consistent_is_one_line(tmp_path, told, words, code, said):
     write(Kind(0, "mcap", "root", "level", "10 ms stamps", "child", "stay"), tmp_path / "in")  # 1.3 s are too short
-    assert said in told([str(tmp_path / "in"), str(tmp_path / "out"), "--consistent", *words], code).err
+    assert said in told([tmp_path / "in", tmp_path / "out", "--consistent", *words], code).err
     assert not (tmp_path / "out").exists()

@@ -402,8 +402,8 @@ SAID = (
 
 
 def test_info_and_the_summary_say_them(odd, tmp_path, told):
-    seen = told(["info", str(odd), "-v"]).out
-    moved = told([str(odd), str(tmp_path / "out.mcap"), "-v", *NOISE]).err
+    seen = told(["info", odd, "-v"]).out
+    moved = told([odd, tmp_path / "out.mcap", "-v", *NOISE]).err
     for sentence in SAID:
         assert sentence in seen, seen
         assert f"{sentence[0].upper()}{sentence[1:]}." in moved, moved
@@ -422,7 +422,7 @@ def test_a_log_time_before_1970_is_no_time_of_an_mcap(tmp_path, told):
     path.write_bytes((FIXTURES / "office_ros2" / "office_ros2.db3").read_bytes())
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE messages SET timestamp = -5 WHERE rowid = 3")
-    assert "log time -5 ns: is before 1970" in told([str(path), str(tmp_path / "out.mcap"), *NOISE], 1).err
+    assert "log time -5 ns: is before 1970" in told([path, tmp_path / "out.mcap", *NOISE], 1).err
     assert not (tmp_path / "out.mcap").exists()
     assert run([str(path), str(tmp_path / "out.db3"), *NOISE]) == 0
 

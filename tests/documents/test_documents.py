@@ -380,7 +380,7 @@ def test_the_page_names_the_keys(command, more, told):
     topics = re.findall(r"`(\w+)`", next((line for line in table if line.startswith("| `topics[]`")), ""))
     edges = re.findall(r"`(\w+)`", next((line for line in table if line.startswith("| `edges[]`")), ""))
     named = {code.split(".")[-1].removesuffix("[]") for codes in first for code in codes} | {*topics, *edges}
-    values = json.loads(told([command, str(OFFICE), "--json", *more]).out)
+    values = json.loads(told([command, OFFICE, "--json", *more]).out)
     assert values["schema"] == 2
     assert keys_of(values) - {"schema"} == named
 

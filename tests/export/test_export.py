@@ -339,7 +339,7 @@ def test_an_amcl_without_spread_from_turns_is_said(tmp_path, told):
     path = tmp_path / "robot.toml"
     for rot_rot, said in (("0.0", True), ("0.03", False)):
         path.write_text(MODEL.format(law="quadratic", more="").replace("rot_rot = 0.03", f"rot_rot = {rot_rot}"))
-        printed = told(["export", str(path), "--to", "nav2"])
+        printed = told(["export", path, "--to", "nav2"])
         assert YAML().load(printed.out)["amcl"]["ros__parameters"]["update_min_d"] > 0.0
         assert ("no spread from turns" in printed.err) is said
 

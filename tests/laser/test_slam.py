@@ -389,8 +389,8 @@ def test_scans_that_show_no_motion_are_refused_in_one_line(tmp_path, faults, wor
 
 def test_of_two_lasers_one_has_to_be_named(tmp_path, told):
     path = raycaster.drive(tmp_path / "run.mcap", twice=True, rate_hz=2.0)
-    assert "--scan /scan or --scan /scan_rear" in told(["learn", str(path)], 1).err
-    said = told(["learn", str(path), "--scan", "/scan_front"], 1).err
+    assert "--scan /scan or --scan /scan_rear" in told(["learn", path], 1).err
+    said = told(["learn", path, "--scan", "/scan_front"], 1).err
     assert "/scan_rear" in said
     assert "--scan" in said
 
@@ -415,7 +415,7 @@ def test_a_laser_is_left_out_on_demand_and_the_refusal_of_a_corridor_says_how(tm
 
 def test_a_map_in_two_parts_is_drawn_of_the_larger_one_and_scans_that_are_missing_are_said(tmp_path, told):
     path = raycaster.drive(tmp_path / "run.mcap", stated=(0.1, 0.0, 0.0), rate_hz=2.0, missing_s=(20.0, 24.0))
-    topics = {topic["topic"]: topic for topic in json.loads(told(["info", str(path), "--json"]).out)["topics"]}
+    topics = {topic["topic"]: topic for topic in json.loads(told(["info", path, "--json"]).out)["topics"]}
     assert topics["/scan"]["longest_gap_s"] == pytest.approx(4.5)
     matched = laser_run(path, "run", None, "/scan")
     assert any("no scans for 4.5 s from 19.7 s on" in note for part in truth_of(matched) for note in part.notes)
@@ -461,6 +461,6 @@ def test_where_a_drive_ended_is_seen_by_its_scans(tmp_path, mount):
 @pytest.mark.slow
 def test_a_drive_that_ends_elsewhere_is_refused_in_one_line(tmp_path, told):
     bag = raycaster.drive(tmp_path / "run.mcap", stated=(0.1, 0.0, 0.0))
-    said = told(["fit", str(bag), "--returns", "--scan", "/scan"], 1).err.strip()
+    said = told(["fit", bag, "--returns", "--scan", "/scan"], 1).err.strip()
     assert "--end" in said
     assert run(["fit", str(bag), "--end", "1,0,0", "--scan", "/scan"]) == 2

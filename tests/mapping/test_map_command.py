@@ -106,7 +106,7 @@ def test_laser_pose_replaces_tf():
     [(["--scan", "/nope"], "/scan"), (["--resolution", "0.0001"], "--resolution"), (["--truth", "/imu"], "Imu")],
 )
 def test_what_cannot_be_mapped_is_reported_in_one_line(arguments, word, told):
-    lines = told(["map", str(OFFICE), "--seed", "1", *arguments], 1).err.strip().splitlines()
+    lines = told(["map", OFFICE, "--seed", "1", *arguments], 1).err.strip().splitlines()
     assert len(lines) == 1
     assert word in lines[0]
 
@@ -205,7 +205,7 @@ def feed(monkeypatch, path):
 @pytest.mark.slow
 def test_file_and_pipe_give_the_same_bytes_and_the_map_is_noted_in_them(corridor, tmp_path, told, monkeypatch):
     words = ["--seed", "7", *ALPHA, "--odom-topic", "/odom", "--map", str(corridor), "--map-pose", "0,0,0"]
-    said = told([str(OFFICE), str(tmp_path / "a.mcap"), *words, "--robot-radius", "0"]).err
+    said = told([OFFICE, tmp_path / "a.mcap", *words, "--robot-radius", "0"]).err
     assert int(said.split("Map: ")[1].split(" of ")[0]) > 100
     feed(monkeypatch, OFFICE)
     assert run(["-", str(tmp_path / "b.mcap"), *words, "--robot-radius", "0"]) == 0
@@ -234,11 +234,10 @@ def test_without_noise_the_file_is_copied(corridor, tmp_path):
         (["--robot-radius", "0.1"], 2, "needs a map; name it with --map"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_line_and_leaves_nothing(more, code, word, corridor, tmp_path, capsys):
+def test_what_cannot_be_is_refused_in_one_line_and_leaves_nothing(more, code, word, corridor, tmp_path, told):
     words = [str(corridor) if one == "MAP" else one for one in more]
     before = set(tmp_path.iterdir())
-    assert run([str(OFFICE), str(tmp_path / "out.mcap"), *ALPHA, "--seed", "1", *words]) == code
-    lines = capsys.readouterr().err.strip().splitlines()
+    lines = told([OFFICE, tmp_path / "out.mcap", *ALPHA, "--seed", "1", *words], code).err.strip().splitlines()
     assert len(lines) == 1
     assert word in lines[0]
     assert set(tmp_path.iterdir()) == before
@@ -262,7 +261,7 @@ def test_batches_and_pipes_draw_whole_paths_where_single_increments_are_stuck(co
     whole = 0
     for number in range(3):
         single = tmp_path / f"single{number}.mcap"
-        whole += "one of 64 paths, resampled" in told([str(short), str(single), "--run", str(number), "-v", *words]).err
+        whole += "one of 64 paths, resampled" in told([short, single, "--run", number, "-v", *words]).err
         assert single.read_bytes() == (tmp_path / "runs" / f"run_{number:06d}.mcap").read_bytes()
     assert whole > 0
     assert run([str(short), "plain.mcap", "--effect", "wheel_scale:e=0", "-q"]) == 0

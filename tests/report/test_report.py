@@ -17,7 +17,6 @@ from scipy.stats import chi2
 
 from odomcorrupt.api.findings import Comparison
 from odomcorrupt.cli import run
-from odomcorrupt.commands.compare import REJECTED
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.expression import user_effect
 from odomcorrupt.geometry.trajectory import Trajectory
@@ -202,20 +201,20 @@ def test_what_is_not_finite_becomes_null_at_any_depth_and_numpy_becomes_plain():
     }
 
 
-def compared(case, *more) -> int:
-    return run(["compare", str(case.bag), *map(str, more)])
+@pytest.fixture
+def compared(told, case):
+    """Return a function of what follows the bag of the case: what `compare` prints; see `told`."""
+    return lambda *more, code=0: told(["compare", case.bag, *more], code)
 
 
-def test_it_prints_horizons_verdicts_and_sentences(case, capsys):
-    assert compared(case, "-v", case.base, case.robot) == 0
-    out = capsys.readouterr().out
+def test_it_prints_horizons_verdicts_and_sentences(case, compared):
+    out = compared("-v", case.base, case.robot).out
     said = ("NEES", "base.toml is rejected", "the odometry turns too far left", "nats/m", "RPE over 1 m", "Signs")
     assert [words for words in said if words not in out] == []
 
 
-def test_a_preset_is_a_model_of_compare_diagnose_and_fit(case, capsys):
-    assert compared(case, "bad") == 0
-    said = capsys.readouterr().out
+def test_a_preset_is_a_model_of_compare_diagnose_and_fit(case, compared):
+    said = compared("bad").out
     assert said.replace("\\\n", " ").split()[-3:] in (
         ["noisy.bag", "--preset", "bad"],
         ["diagnose", str(case.bag), "bad"],
@@ -224,9 +223,8 @@ def test_a_preset_is_a_model_of_compare_diagnose_and_fit(case, capsys):
     assert run(["fit", str(case.bag), "--start", "bad", "-q"]) == 0
 
 
-def test_json_has_the_numbers_behind_and_a_rejected_model_fails_where_that_is_asked_for(case, capsys):
-    assert compared(case, case.base, "--json", "--fail-if-rejected") == REJECTED == 4
-    model = json.loads(capsys.readouterr().out)["models"][0]
+def test_json_has_the_numbers_behind_and_a_rejected_model_fails_where_that_is_asked_for(case, compared):
+    model = json.loads(compared(case.base, "--json", "--fail-if-rejected", code=4).out)["models"][0]
     assert model["verdict"]["rejected"] is True
     assert model["verdict"]["threshold"] == pytest.approx(model["verdict"]["level"] / len(model["verdict"]["checks"]))
     assert [h["distance_m"] for h in model["horizons"]][:4] == [1.0, 2.0, 5.0, 10.0]
@@ -239,20 +237,17 @@ def test_json_has_the_numbers_behind_and_a_rejected_model_fails_where_that_is_as
 
 
 @pytest.mark.slow
-def test_report_and_pictures_are_written_once(case, tmp_path, capsys):
+def test_report_and_pictures_are_written_once(case, tmp_path, compared):
     report, error, where = tmp_path / "out.html", tmp_path / "error.png", tmp_path / "map.svg"
-    wanted = (case.robot, "--report", report, "--plot", error, "--plot", f"map={where}")
-    assert compared(case, *wanted) == 0
+    compared(case.robot, "--report", report, "--plot", error, "--plot", f"map={where}")
     assert report.read_text().startswith("<!DOCTYPE html>")
     assert error.read_bytes().startswith(b"\x89PNG")
     assert b"<svg" in where.read_bytes()[:1000]
     before = report.stat().st_mtime_ns
-    capsys.readouterr()
     for again in (("--report", report), ("--plot", f"nees={error}")):
-        assert compared(case, case.robot, *again) == 1
-        assert "--overwrite" in capsys.readouterr().err
+        assert "--overwrite" in compared(case.robot, *again, code=1).err
     assert report.stat().st_mtime_ns == before
-    assert compared(case, case.robot, "--plot", error, "--overwrite", "--fail-if-rejected") == 0
+    compared(case.robot, "--plot", error, "--overwrite", "--fail-if-rejected")
 
 
 @pytest.mark.parametrize(
@@ -265,19 +260,17 @@ def test_report_and_pictures_are_written_once(case, tmp_path, capsys):
     ],
 )
 def test_a_picture_that_is_not_there_is_named_and_two_do_not_share_a_file(
-    case, tmp_path, capsys, monkeypatch, plots, words
+    case, tmp_path, compared, monkeypatch, plots, words
 ):
     monkeypatch.chdir(tmp_path)
-    assert compared(case, case.robot, *(word for plot in plots for word in ("--plot", plot))) == 2
-    assert words in capsys.readouterr().err
+    assert words in compared(case.robot, *(word for plot in plots for word in ("--plot", plot)), code=2).err
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(("name", "word"), [("base", "diagnose"), ("robot", "sim.bag")])
-def test_a_verdict_ends_with_what_to_type_next(case, capsys, name, word):
+def test_a_verdict_ends_with_what_to_type_next(case, compared, name, word):
     """A rejected model is to be diagnosed, and one that holds to be used."""
-    assert compared(case, getattr(case, name)) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = compared(getattr(case, name)).out.splitlines()
     (first,) = [i for i, line in enumerate(lines) if line.startswith("next")]
     assert lines[first].split()[:3] == ["next", "odomcorrupt", word]
     assert lines[-1].split()[-1] == str(getattr(case, name))

@@ -484,7 +484,7 @@ def test_diagnose_says_in_the_terminal_what_to_type_next(found, rich, case, tmp_
 
 
 def test_where_a_law_is_included_learn_comes_next_because_it_alone_writes_laws(found, case, told):
-    out = told(["diagnose", "-v", str(case.bag), "--track", str(case.recording.track_m)]).out
+    out = told(["diagnose", "-v", case.bag, "--track", case.recording.track_m]).out
     _, _, following = " ".join(out.replace("\\\n", " ").split()).rpartition(" next")
     assert following.lstrip(": ").startswith(f"odomcorrupt learn {case.bag} ")
     assert following.endswith(f"--track {case.recording.track_m:g} -o robot.toml")

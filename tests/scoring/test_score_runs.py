@@ -150,7 +150,7 @@ def test_a_sweep_is_a_table_of_points_everywhere(sweep, tmp_path, told):
     options = zip(("--csv", "--markdown", "--junit", "--plot"), files.values(), strict=True)
     given = [word for option, file in options for word in (option, str(file))]
     gate = ["--fail-if", "ate_median > 0.001", "--fail-if", "lost > 99%"]
-    shown = told(["score", str(sweep), "--estimate", "/odom", "--align", "origin", *given, *gate], 1).out
+    shown = told(["score", sweep, "--estimate", "/odom", "--align", "origin", *given, *gate], 1).out
     head = next(line for line in shown.splitlines() if line.startswith("points"))
     assert head.split() == ["points", "drift", "runs", "lost", "median", "ATE", "p90", "point"]
     rows = list(csv.DictReader(files["t.csv"].read_text().splitlines()))
@@ -197,7 +197,7 @@ def test_poses_in_two_frames_are_subtracted_on_demand_only(batch, tmp_path, told
 def test_the_command_writes_a_baseline_and_turns_red_against_it(batch, estimates, tmp_path, told):
     words = ["score", str(batch / "trajectories"), "--outputs", str(estimates), "--align", "none"]
     base, page, picture = (tmp_path / name for name in ("last.json", "page.html", "score.png"))
-    text = told([*words, "--save", str(base), "--report", str(page), "-o", str(picture), "-v"]).out
+    text = told([*words, "--save", base, "--report", page, "-o", picture, "-v"]).out
     assert "0 of 10 runs failed" in text
     assert text.count("run_0000") == 10
     assert page.read_text().count("<img") == 3
@@ -226,7 +226,7 @@ def test_the_command_writes_a_baseline_and_turns_red_against_it(batch, estimates
 def test_wrong_words_are_refused_in_one_line(batch, estimates, tmp_path, told, words, code, said):
     (tmp_path / "base.json").write_text("[]")
     given = [word.replace("BASE", str(tmp_path / "base.json")).replace("FULL", str(batch / "full")) for word in words]
-    error = told(["score", str(batch / "trajectories"), "--outputs", str(estimates), *given], code).err
+    error = told(["score", batch / "trajectories", "--outputs", estimates, *given], code).err
     assert said in error
     assert error.count("\n") == 1
 
@@ -251,7 +251,7 @@ def test_the_first_word_is_the_gates_result_and_the_exit_code(batch, estimates, 
 
 def test_the_json_page_names_every_key(batch, estimates, told):
     spoil(estimates / "run_000005.tum", shift_m=3.0)
-    table = json.loads(told(["score", str(batch / "trajectories"), "--outputs", str(estimates), "--json"]).out)
+    table = json.loads(told(["score", batch / "trajectories", "--outputs", estimates, "--json"]).out)
     page = (ROOT / "docs" / "json.md").read_text()
     section = page.split("## `score --json`", 1)[1].split("\n## ", 1)[0]
     missing = {key for key in keys_of(table) if f"`{key}`" not in section and f"`{key}[]`" not in section}

@@ -139,7 +139,7 @@ def test_every_third_scan_is_kept_and_has_the_errors_that_it_has_among_all(sourc
 
 def test_a_batch_and_a_pipe_keep_the_same_scans(tmp_path, monkeypatch, told):
     words = ["--seed", "5", "--odom", "/odom", "--scan-every", "4"]
-    assert "/scan 75 scans kept" in told([str(FIXTURES / "office.mcap"), str(tmp_path / "one.mcap"), *words]).err
+    assert "/scan 75 scans kept" in told([FIXTURES / "office.mcap", tmp_path / "one.mcap", *words]).err
     assert run(["batch", str(FIXTURES / "office.mcap"), str(tmp_path / "runs"), "--runs", "1", *words]) == 0
     assert (tmp_path / "runs" / "run_000000.mcap").read_bytes() == (tmp_path / "one.mcap").read_bytes()
     with (FIXTURES / "office.mcap").open("rb") as stream:
@@ -163,7 +163,7 @@ def test_what_is_no_noise_is_one_line(words, code, said, tmp_path, monkeypatch, 
     if words[0] == "--imu" and words[1] != "none.yaml":
         (tmp_path / "imu.yaml").write_text(words[1])
         words = ["--imu", "imu.yaml"]
-    text = told([str(FIXTURES / "office.mcap"), "out.mcap", *words], code).err
+    text = told([FIXTURES / "office.mcap", "out.mcap", *words], code).err
     assert said in " ".join(text.split())
     assert text.count("\n") <= 2
     assert not Path("out.mcap").exists()

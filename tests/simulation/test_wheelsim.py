@@ -722,13 +722,13 @@ def test_control_has_no_causes(tmp_path):
     ],
 )
 def test_what_makes_no_sense_is_said(tmp_path, told, options, code, says):
-    assert says in told(["simulate", str(tmp_path / "out.mcap"), *options], code).err
+    assert says in told(["simulate", tmp_path / "out.mcap", *options], code).err
     assert not list(tmp_path.iterdir())
 
 
 def test_nothing_is_overwritten_unasked(tmp_path, told):
     simulated(tmp_path)
-    assert "exists already" in told(["simulate", str(tmp_path / "out.mcap")], 1).err
+    assert "exists already" in told(["simulate", tmp_path / "out.mcap"], 1).err
     (tmp_path / "out.mcap").unlink()
     assert run(["simulate", str(tmp_path / "out.mcap")]) == 1
     simulated(tmp_path, "--overwrite")
