@@ -73,12 +73,9 @@ class Samples(Result):
             lines.append(Line(name, f"{axes}, heading {heading:.3g} deg (1 sigma)"))
         lines.append(Line("motion", f"{_pose(self.move.start_xyt)} to {_pose(self.move.end_xyt)}"))
         lines.append(Line("noise", self.noise.words, full=self.noise.words + (f" ({self.origin})" * bool(self.origin))))
-        lines += [Line("note", note, "warning") for note in (*self._squared, *self.notes)]
+        squared = (_ARTICLE_CODE,) * (self.noise.law_name == "article-code")
+        lines += [Line("note", note, "warning") for note in (*squared, *self.notes)]
         return Summary(tuple(lines))
-
-    @property
-    def _squared(self) -> list[str]:
-        return [_ARTICLE_CODE] if self.noise.law_name == "article-code" else []
 
     def _tables(self) -> str:
         """Return the parts of the motion with their deviations, and both covariances."""
@@ -129,7 +126,7 @@ class Samples(Result):
         from odomcorrupt.report.plots.samples import draw_banana
 
         numbers = "  ".join(f"{name} {value:.3g}" for name, value in self.noise.numbers)
-        name = "article-code (sd passed squared)" if self._squared else self.noise.law_name
+        name = self.noise.law_name + " (sd passed squared)" * (self.noise.law_name == "article-code")
         step = f" per {self.noise.step}" if self.noise.step is not None else ""
         title = f"Where one motion may end: law {name}{step}, {len(self.xyt)} samples, seed {self.seed}\n{numbers}"
         return draw_banana(self.move, self.variances, self.xyt, title, self.space)

@@ -137,14 +137,11 @@ def choose_model(given: Mapping[str, Any]) -> Model:
     base = None if model is None else Model.load(model)
     try:
         chosen = base or Model()
-        if alpha is not None:
-            chosen = _with_alpha(chosen, alpha, law)
-        elif base is None and (
-            brings.get("preset") is not None or not (given.get("effects") or given.get("twist_noise"))
-        ):
-            # effects or twist noise alone come without the default preset
+        # effects or twist noise alone come without the default preset
+        alone = given.get("effects") or given.get("twist_noise")
+        if alpha is None and base is None and (brings.get("preset") is not None or not alone):
             chosen = Model.preset(brings.get("preset") or "typical")
-        chosen = _refined(chosen, given.get("step"), given.get("twist_noise"))
+        chosen = _with_noise(chosen, alpha, law, given.get("step"), given.get("twist_noise"))
         if track is not None:
             chosen = Model.of(replace(chosen.motion_model, track_m=track), chosen.origin)
         ctx = click.get_current_context()
@@ -170,28 +167,25 @@ def _hint_at_percent(effects: Iterable[str]) -> None:
                 click.echo(f"{effect.name}: {p.name}={value:g} is {100.0 * value:g} %; {usual}", err=True)
 
 
-def _with_alpha(model: Model, alpha: str, law: str | None) -> Model:
-    """Return a model with other coefficients; for commas between them, raise an error with the correct spelling."""
+def _with_noise(
+    model: Model, alpha: str | None, law: str | None, step: str | None, twist_noise: tuple[float, float] | None
+) -> Model:
+    """Return a model with what is given of its noise; for commas in alpha, raise an error with the correct spelling."""
     from odomcorrupt.api.model import Model, Noise
-
-    words = [word for word in re.split(r"[\s,]+", alpha) if word]
-    if "," in alpha and all(_NUMBER.match(word) for word in words):
-        raise click.UsageError(f"--alpha {alpha}: put spaces between the numbers: --alpha {' '.join(words)}")
-    noise = Noise(alpha=alpha.split(), law=law or model.motion_model.noise.law_name)
-    return Model.of(replace(model.motion_model, noise=noise.as_motion_noise()))
-
-
-def _refined(model: Model, step: str | None, twist_noise: tuple[float, float] | None) -> Model:
-    from odomcorrupt.api.model import Model
     from odomcorrupt.model.motion_model import Step
 
-    noise = model.motion_model.noise
+    noise, origin = model.motion_model.noise, model.origin
+    if alpha is not None:
+        words = [word for word in re.split(r"[\s,]+", alpha) if word]
+        if "," in alpha and all(_NUMBER.match(word) for word in words):
+            raise click.UsageError(f"--alpha {alpha}: put spaces between the numbers: --alpha {' '.join(words)}")
+        noise, origin = Noise(alpha=alpha.split(), law=law or noise.law_name).as_motion_noise(), ""
     if twist_noise is not None:
         white_v, white_omega = twist_noise
         noise = replace(noise, coefficients=replace(noise.coefficients, white_v=white_v, white_omega=white_omega))
     if step is not None:
         noise = replace(noise, step=Step.parse(step))
-    return Model.of(replace(model.motion_model, noise=noise), model.origin)
+    return Model.of(replace(model.motion_model, noise=noise), origin)
 
 
 move_options = added(
@@ -227,7 +221,7 @@ def _choose_noise(given: Mapping[str, Any], example: str | None) -> Model:
     chosen_example = example_named(example or DEFAULT_EXAMPLE)
     noise = replace(chosen_example.noise, law_name="article-code") if listing else chosen_example.noise
     with usage_errors(ModelError):
-        return _refined(Model.of(MotionModel(noise), chosen_example.source), given["step"], None)
+        return _with_noise(Model.of(MotionModel(noise), chosen_example.source), None, None, given["step"], None)
 
 
 def choose_move(given: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,10 +14,9 @@ from click.core import ParameterSource
 from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._options import PAGE, TRACK, Decorator, OutputFile, added, number, setting, words_of
 from odomcorrupt.commands._progress import Stages
-from odomcorrupt.commands._standard import written
+from odomcorrupt.commands._standard import printed, written
 from odomcorrupt.drive_types import AUTO, DRIVE_TYPES
 from odomcorrupt.extras import require
-from odomcorrupt.result_files import write_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -196,4 +195,4 @@ def advice_files(result: Findings, drive: Path | None, report: Path | None) -> F
         nothing = f"{path} is not written: there is no open question that another drive would answer"
         return f"wrote {path}: {said}" if said else nothing
 
-    return {**written(drive, save), **written(report, lambda path: write_file(path, result.report()))}
+    return {**written(drive, save), **printed(report, result.report)}

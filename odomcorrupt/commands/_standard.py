@@ -20,6 +20,7 @@ from odomcorrupt import commands
 from odomcorrupt.commands._options import Decorator, OutputFile, Setting, added
 from odomcorrupt.input_files import TOML_BYTES, parse_toml, read_input
 from odomcorrupt.report.plain import finite
+from odomcorrupt.result_files import write_file
 from odomcorrupt.summary import Summary, wrapped
 
 if TYPE_CHECKING:
@@ -94,6 +95,11 @@ class Console(NamedTuple):
 def written(path: Path | None, write: Callable[[Path], object]) -> Files:
     """Return an output and its writer in the form of `Console.show`; empty if no path is given."""
     return {} if path is None else {path: lambda: write(path)}
+
+
+def printed(path: Path | None, text: Callable[[], str]) -> Files:
+    """Return an output and the writer of a text that is made when it is written, in the form of `Console.show`."""
+    return written(path, lambda to: write_file(to, text()))
 
 
 def _colours(stream: Any) -> bool:

@@ -10,11 +10,12 @@ import click
 
 from odomcorrupt.commands._options import MODELS, PAGE, PICTURE
 from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
-from odomcorrupt.commands._standard import Console, overwrite_option, standard_options
-from odomcorrupt.result_files import write_file
+from odomcorrupt.commands._standard import Console, overwrite_option, printed, standard_options
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Iterable
+
+    from odomcorrupt.commands._standard import Files
 
 
 REJECTED = 4
@@ -57,12 +58,11 @@ def command(
         runs, _ = reading.read(paths, console, stages, track=track)
         stages("comparison", 0.0)
         result = compare(runs, models)
-    files: dict[Path, Callable[[], object]] = {p: partial(result.plot, p, picture=name) for p, name in plots.items()}
-    if report is not None:
-        files[report] = lambda: write_file(report, result.report())
+    drawn = {p: partial(result.plot, p, picture=name) for p, name in plots.items()}
     following = ["sim.bag", "noisy.bag", "--model" if names[-1].endswith(".toml") else "--preset", names[-1]]
     if result.fails:
         following = ["diagnose", *map(str, paths), *reading.words, names[-1]]
+    files: Files = {**drawn, **printed(report, result.report)}
     console.show(result.then("odomcorrupt", *following), files=files)
     return REJECTED if fail_if_rejected and result.fails else 0
 

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import functools
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._options import OUTPUT, PAGE, PICTURE, PICTURES, OutputFile, kind_of, number, setting, valued
 from odomcorrupt.commands._progress import Stages
-from odomcorrupt.commands._standard import Console, overwrite_option, standard_options, typed_words
+from odomcorrupt.commands._standard import Console, overwrite_option, printed, standard_options, typed_words, written
 from odomcorrupt.input_files import read_input
-from odomcorrupt.result_files import write_file
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 @click.command("score", short_help="Score a localisation over the runs of a batch; a gate for CI.")
@@ -93,22 +88,16 @@ def command(runs: tuple[Path, ...], *, console: Console, **given: Any) -> int:
         for line in gate_lines(result.verdicts):
             click.echo(line, err=True)
     drawn = given["output"] is not None and kind_of(given["output"]) in PICTURES
-    pictures = (given["plot"], given["output"] if drawn else None)
 
     def as_json() -> str:
         return json.dumps(result.to_dict(), indent=1, allow_nan=False) + "\n"
 
-    texts: list[tuple[Path | None, Callable[[], str]]] = [
-        (given["save"], as_json), (None if drawn else given["output"], as_json),
-        (given["report"], result.report), (given["markdown"], result.markdown), (given["junit"], result.junit),
-        (given["csv"], result.points_csv),
-    ]  # fmt: skip
-    files: dict[Path, Callable[[], object]] = {
-        path: functools.partial(lambda to, text: write_file(to, text()), path, text)
-        for path, text in texts
-        if path is not None
-    }
-    files |= {path: functools.partial(result.plot, path) for path in pictures if path is not None}
+    files = {
+        **printed(given["save"], as_json), **printed(None if drawn else given["output"], as_json),
+        **printed(given["report"], result.report), **printed(given["markdown"], result.markdown),
+        **printed(given["junit"], result.junit), **printed(given["csv"], result.points_csv),
+        **written(given["plot"], result.plot), **written(given["output"] if drawn else None, result.plot),
+    }  # fmt: skip
     following = () if given["report"] else ("odomcorrupt", "score", *typed_words(), "--report", "page.html")
     console.show(result.then(*following), files=files)
     return 1 if result.failed else 0

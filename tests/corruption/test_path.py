@@ -134,14 +134,6 @@ def test_correction_takes_clean_poses_to_noisy_ones():
     assert compose(samples.correction_xyt, poses) == pytest.approx(poses + samples.error_xyt, abs=1e-9)
 
 
-def test_streams_of_runs_and_seeds_differ_and_repeat():
-    drive = office()
-    base = NoisyPath(model(), 1, 0).feed(*drive).error_xyt
-    assert np.array_equal(base, NoisyPath(model(), 1, 0).feed(*drive).error_xyt)
-    assert not np.array_equal(base, NoisyPath(model(), 1, 1).feed(*drive).error_xyt)
-    assert not np.array_equal(base, NoisyPath(model(), 2, 0).feed(*drive).error_xyt)
-
-
 def test_a_jump_of_the_pose_is_counted_and_holds_the_correction():
     t, poses = office(50.0, 20.0)
     jumped = poses.copy()

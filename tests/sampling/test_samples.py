@@ -33,7 +33,7 @@ from odomcorrupt.sampling.samples import (
     sample_particles,
     with_noise,
 )
-from odomcorrupt.trajectories import Drive, Rule, integrate, noisy_twists, read_drive, read_poses
+from odomcorrupt.trajectories import Drive, Rule, integrate, noisy_twists, read_drive
 from recordings import OFFICE, RECORDINGS, ROOT
 
 ARTICLE = EXAMPLES["article"]
@@ -451,8 +451,6 @@ def test_article_code_says_what_it_means(told):
     ("arguments", "word"),
     [
         (["sample", "-o", "x.gif"], ".gif"),
-        (["sample", "--end", "1,2"], "x,y,heading"),
-        (["sample", "--end", "1deg,2,3"], "x,y,heading"),
         (["sample", "--example", "nope"], "balanced"),
         (["sample", "--example", "balanced", "--preset", "typical"], "has its own noise"),
         (["sample", "--effect", "wheel_scale:e=0.01"], "duration"),
@@ -529,11 +527,6 @@ def test_hold_says_which_interval_a_twist_is_for():
     assert integrate(np.zeros(3), twist, t, "exact", hold="previous")[-1, 0] == 6.0
 
 
-def test_unknown_rule_is_named():
-    with pytest.raises(ModelError, match="simpson"):
-        integrate(np.zeros(3), np.zeros((2, 3)), np.arange(2.0), "simpson")
-
-
 def test_noisy_run_does_not_depend_on_its_company():
     twist = np.zeros((30, 3))
     many = noisy_twists(twist, 0.2, 0.04, seed=3, runs=range(8))
@@ -606,12 +599,6 @@ def test_transform_says_what_the_odometry_says(tmp_path):
 
 def test_truth_of_a_wrong_type_is_named(told):
     assert "TFMessage" in told(["integrate", OFFICE, "--truth", "/tf"], 1).err
-
-
-@pytest.mark.recordings
-def test_truth_is_read_in_its_own_frame():
-    truth = read_poses(GAZEBO, "ground_truth")
-    assert len(truth) > 10_000
 
 
 NOISE = oc.Noise(alpha=(0.05, 0.02, 0.05, 0.01))
