@@ -30,10 +30,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
+    from odomcorrupt.api.bag_options import BagOptions
     from odomcorrupt.api.model import Model
-    from odomcorrupt.corruption.transform import Options
     from odomcorrupt.mapping.conditioned import MapCondition
-    from odomcorrupt.model.motion_model import MotionModel
 
 
 _FEWEST, _MOST = 4, 6
@@ -286,7 +285,7 @@ def choose_condition(
 
 
 def choose_condition_of_run(
-    given: Mapping[str, Any], source: Path | None, options: Options, model: MotionModel
+    given: Mapping[str, Any], source: Path | None, options: BagOptions, model: Model
 ) -> MapCondition | None:
     """Return the map condition for the corruption of a bag, None if no map is named; a source of None is a pipe.
 
@@ -300,9 +299,11 @@ def choose_condition_of_run(
     name = given["map_"]
     if name is None:
         return choose_condition(given, source, "")
+    from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.mapping.conditioned import is_map_file, read_odom_frame
 
-    if options.keep_localisation:
+    moved, _ = split_options(options)
+    if moved.keep_localisation:
         raise click.UsageError(
             "--map and --keep-localisation: with map -> base kept true the drift does not move the robot in the map; "
             "leave out one"
@@ -314,5 +315,5 @@ def choose_condition_of_run(
         )
     frame = ""
     if source is not None and given["map_pose"] is None:
-        frame = read_odom_frame(source, options, model.odometry_topic, recover=given["recover"])
+        frame = read_odom_frame(source, moved, model.motion_model.odometry_topic, recover=given["recover"])
     return choose_condition(given, source, frame, recover=given["recover"])

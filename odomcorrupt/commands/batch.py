@@ -129,7 +129,6 @@ def _paths(paths: tuple[Path, ...], option: str | None, console: Console) -> tup
 
 def _options(inputs: tuple[Path, ...], given: dict[str, Any]) -> dict[str, Any]:
     """Return model, map and all other options under their names in the Python interface."""
-    from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.api.model import Model
 
     words = bag_words(given)
@@ -145,7 +144,7 @@ def _options(inputs: tuple[Path, ...], given: dict[str, Any]) -> dict[str, Any]:
         model = choose_model(given)
         options |= {"model": model, "model_file": given["model"]}
         options["model_words"] = tuple(_words(_OF_MODEL, given))
-    condition = choose_condition_of_run(given, inputs[0], split_options(words)[0], model.motion_model)
+    condition = choose_condition_of_run(given, inputs[0], words, model)
     mapped = () if given["map_"] is None else _words(_OF_MAP, given)
     return {**options, "within": condition, "map_words": tuple(mapped)}
 

@@ -60,7 +60,6 @@ def command(
     as run_*.bag. With --map every drawn pose is in free space, as in the motion model of a particle filter; real
     odometry drifts through walls, so leave --map out to imitate it.
     """
-    from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.api.corruption import corrupt
 
     if further:
@@ -73,7 +72,7 @@ def command(
         raise click.UsageError("OUTPUT is - but stdout is a terminal; redirect it to a file or a pipe")
     source = source_of(input_)
     options = bag_words(given)
-    condition = choose_condition_of_run(given, source, split_options(options)[0], model.motion_model)
+    condition = choose_condition_of_run(given, source, options, model)
     keep_freed_memory()
     with Progress(quiet=console.quiet) as progress:
         asked = {name: given[name] for name in ("seed", "run", "also")} | {"within": condition, "watch": progress}

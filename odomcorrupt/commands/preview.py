@@ -35,13 +35,12 @@ def command(input_: str, plot: Path | None, *, console: Console, **given: Any) -
     Run k of a seed is the run that `odomcorrupt INPUT OUTPUT --seed N --run k` draws. Options of that command that
     concern only its output are accepted and ignored.
     """
-    from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.api.preview import preview
 
     model = choose_model(given)
     source = source_of(input_)
     options = bag_words(given)
-    condition = choose_condition_of_run(given, source, split_options(options)[0], model.motion_model)
+    condition = choose_condition_of_run(given, source, options, model)
     with Progress(quiet=console.quiet) as progress:
         asked = {"seed": given["seed"], "run": given["run"], "runs": given["runs"], "within": condition}
         result = preview(input_, model, **asked, watch=progress, **options)
