@@ -30,7 +30,8 @@ from odomcorrupt.corruption.reorder import WINDOW_NS
 from odomcorrupt.corruption.se2_on_se3 import PLANAR
 from odomcorrupt.corruption.summary import SIDEWAYS, leaks_line
 from odomcorrupt.errors import ModelError, TopicError
-from odomcorrupt.geometry.se2 import increments, interpolate, inverse, wrap
+from odomcorrupt.geometry.se2 import increments, inverse, wrap
+from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.model.presets import suggested
 from odomcorrupt.standard_streams import visible
 from odomcorrupt.summary import ALWAYS, Line, Summary, aligned, command_line
@@ -315,15 +316,14 @@ def disagreement_m(record: PathRecord, edge: PathRecord, *, turned: bool) -> flo
 
     turned : whether the edge points from the base to odom
     """
-    order = np.argsort(record.stamps_ns, kind="stable")
-    stamps, xyt = record.stamps_ns[order], record.xyt[order]
-    inside = (edge.stamps_ns >= stamps[0]) & (edge.stamps_ns <= stamps[-1])
-    if len(stamps) < 2 or not inside.any():
+    # of messages with equal stamps the last one
+    stamps_ns, rows = np.unique(record.stamps_ns[::-1], return_index=True)
+    origin_ns = int(stamps_ns[0])
+    inside = (edge.stamps_ns >= origin_ns) & (edge.stamps_ns <= stamps_ns[-1])
+    if len(stamps_ns) < 2 or not inside.any():
         return None
-    at = edge.stamps_ns[inside]
-    i = np.clip(np.searchsorted(stamps, at, side="right") - 1, 0, len(stamps) - 2)
-    span = np.maximum(stamps[i + 1] - stamps[i], 1)
-    odometry = interpolate(xyt[i], xyt[i + 1], np.clip((at - stamps[i]) / span, 0.0, 1.0))
+    at_s = (edge.stamps_ns[inside] - origin_ns) * np.float64(1e-9)
+    odometry = Trajectory(stamps_ns, record.xyt[::-1][rows]).at(at_s, origin_ns)
     tf = inverse(edge.xyt[inside]) if turned else edge.xyt[inside]
     # a heading error counts as its displacement at a distance of 1 m
     off = np.hypot(*(tf - odometry)[:, :2].T) + np.abs(wrap((tf - odometry)[:, 2]))

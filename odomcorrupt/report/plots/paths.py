@@ -110,7 +110,8 @@ def draw_errors(error: PathErrors, true_name: str, name: str, title: str) -> Fig
             path.plot(xyt[:, 0], xyt[:, 1], color=colour, linestyle=style, label=label, linewidth=1.8)
             heading.plot(t, np.degrees(xyt[:, 2]), color=colour, linestyle=style, linewidth=1.8)
         path.plot(*error.truth_xyt[0, :2], "s", color=TRUTH, markersize=6, label="start")
-        _plane(path)
+        path.set(xlabel="x (m)", ylabel="y (m)")
+        path.set_aspect("equal", adjustable="datalim")
         path.legend(loc="best")
         heading.set(ylabel="heading (deg)", xlabel="time (s)")
         worst = float(error.position_m.max())
@@ -137,15 +138,10 @@ def draw_runs(runs_xyt: Array, true_xyt: Array, true_name: str, title: str) -> F
         axes.plot(true_xyt[:, 0], true_xyt[:, 1], color=TRUTH, linewidth=2.2, label=true_name)
         axes.plot(*true_xyt[0, :2], "s", color=TRUTH, markersize=7, label="start")
         axes.plot(*true_xyt[-1, :2], "o", color="white", markeredgecolor=TRUTH, markersize=7, label="true end")
-        _plane(axes)
+        axes.set(xlabel="x (m)", ylabel="y (m)", title=title)
+        axes.set_aspect("equal", adjustable="datalim")
         axes.legend(loc="best")
-        axes.set_title(title)
     return figure
-
-
-def _plane(axes: Axes) -> None:
-    axes.set(xlabel="x (m)", ylabel="y (m)")
-    axes.set_aspect("equal", adjustable="datalim")
 
 
 def draw_fan(outlook: Forecast, title: str) -> Figure:
