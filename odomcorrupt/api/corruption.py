@@ -127,9 +127,7 @@ class Corruption(Result):
         from odomcorrupt.report.plots.paths import draw_corruption
         from odomcorrupt.trajectories import read_drive
 
-        if "-" in (self.source, self.target):
-            raise OdomCorruptError("a picture of a corruption: reads both bags again, which is impossible on a pipe")
-        clean, noisy = (read_drive(Path(path), self.outcome.odometry) for path in (self.source, self.target))
+        clean, noisy = (read_drive(drive_path(bag), self.outcome.odometry) for bag in (self.source, self.target))
         return draw_corruption(clean.xyt, noisy.xyt, f"{Path(self.target).name}: seed {self.seed}, run {self.run}")
 
 
@@ -246,7 +244,7 @@ class Correction(Result):
         from odomcorrupt.report.plots.paths import draw_corruption
         from odomcorrupt.trajectories import read_drive
 
-        before, after = (read_drive(Path(path), self.outcome.run.odometry) for path in (self.source, self.target))
+        before, after = (read_drive(drive_path(bag), self.outcome.run.odometry) for bag in (self.source, self.target))
         return draw_corruption(before.xyt, after.xyt, Path(self.target).name, names=("measured", "corrected"))
 
 

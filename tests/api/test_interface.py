@@ -170,6 +170,9 @@ def test_a_result_is_small_to_print_and_whole_as_values(tmp_path):
     assert done.rows()[0]["drawn_m"] == pytest.approx(done.drift.end_drawn_m)
     pandas = pytest.importorskip("pandas")
     assert isinstance(done.to_pandas(), pandas.DataFrame)
+    for one in (done, oc.correct(OFFICE, tmp_path / "b.mcap")):
+        with pytest.raises(OdomCorruptError, match="impossible on a pipe"):
+            replace(one, target="-").plot(tmp_path / "a.png")
 
 
 def test_corrupting_again_is_said(tmp_path, told):

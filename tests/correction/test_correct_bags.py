@@ -28,18 +28,11 @@ from odomcorrupt.model.motion_model import MotionModel, Noise, Setup
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import simulate, write_mcap
 from recordings import FIXTURES
+from test_refusals import ROBOT as NOISE
 
 EDGE = ("odom", "base_link")
 BAGS = ["office.bag", "office.mcap", "office_ros2"]
 EFFECTS = ["unequal_wheels:curvature=0.02", "gyro_bias:bias=0.004", "accel_slip:k=0.03", "slope:creep=0.02"]
-NOISE = """schema = 1
-[noise]
-law = "diffusion"
-rot_rot = 0.05
-rot_trans = 0.03
-trans_trans = 0.05
-trans_rot = 0.02
-"""
 
 
 def flags(effects):
