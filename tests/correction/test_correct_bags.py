@@ -2,7 +2,6 @@
 
 from copy import deepcopy
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,7 +26,7 @@ from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import simulate, write_mcap
-from recordings import FIXTURES
+from recordings import FIXTURES, OFFICE
 from test_refusals import ROBOT as NOISE
 
 EDGE = ("odom", "base_link")
@@ -83,25 +82,24 @@ def test_a_lever_arm_is_said_to_be_no_part_of_the_odometry(tmp_path, effect, sai
     arm = '[[setup.effect]]\nname = "lever_arm"\nx = 0.25\ny = 0.0\n'
     own = f'[[effect]]\nname = "{effect}"\ne = 0.02\n' if effect else ""
     (tmp_path / "robot.toml").write_text(f"{NOISE}\n{own}[setup]\n{arm}")
-    source, target, model = FIXTURES / "office.mcap", tmp_path / "right.mcap", tmp_path / "robot.toml"
-    words = ["correct", str(source), str(target), "--model", str(model), "--force"]
+    words = ["correct", OFFICE, tmp_path / "right.mcap", "--model", tmp_path / "robot.toml", "--force"]
     assert f"{said}the truth's tracked point)" in " ".join(told(words).err.split())
     assert "tracked point" not in told([*words, "--effect", "lever_arm:x=0.25"]).err
 
 
 @pytest.mark.parametrize("choice", ["model", "keep"])
-def test_covariances_are_the_noise_that_remains_or_stay(tmp_path, choice, capsys):
+def test_covariances_are_the_noise_that_remains_or_stay(tmp_path, choice, told):
     (tmp_path / "robot.toml").write_text(f'{NOISE}\n[[effect]]\nname = "wheel_scale"\ne = 0.02\n')
-    args = ["correct", str(FIXTURES / "office.mcap"), str(tmp_path / "out.mcap"), "--covariance", choice]
-    assert run([*args, "-v", "--model", str(tmp_path / "robot.toml")]) == 0
-    was, now = (rows_of(path, "/odom") for path in (FIXTURES / "office.mcap", tmp_path / "out.mcap"))
+    words = ["correct", OFFICE, tmp_path / "out.mcap", "--covariance", choice]
+    said = told([*words, "-v", "--model", tmp_path / "robot.toml"]).err
+    was, now = (rows_of(path, "/odom") for path in (OFFICE, tmp_path / "out.mcap"))
     same = np.array_equal(was.pose_covariance, now.pose_covariance)
     assert same == (choice == "keep")
     if choice == "model":
         heading = now.pose_covariance[:, 35]
         assert heading[0] < 1e-8
         assert (np.diff(heading) >= 0.0).all()
-        assert "remains    noise: " in capsys.readouterr().err
+        assert "remains    noise: " in said
 
 
 def test_clocks_given_as_effects_are_put_right(tmp_path):
@@ -122,17 +120,16 @@ def test_what_cannot_be_undone_is_said_and_setup_is_left_alone(tmp_path, told):
         'name = "lever_arm"\nx = 0.5\ny = 0.0\n[robot]\ntrack = 0.4\n'
     )
     out = [tmp_path / "with.mcap", tmp_path / "plain.mcap"]
-    source = str(FIXTURES / "office.mcap")
-    said = told(["correct", "-v", source, out[0], "--model", tmp_path / "robot.toml"]).err
+    said = told(["correct", "-v", OFFICE, out[0], "--model", tmp_path / "robot.toml"]).err
     assert "taken out  wheel_scale (e 0.02)" in said
     assert "gauss_markov: its random course was not recorded" in said
     assert "quantization: travel below the encoder's resolution" in said
     assert "[setup]" in said
     assert "lever_arm" in said
-    assert run(["correct", "-v", source, str(out[1]), "--effect", "wheel_scale:e=0.02"]) == 0
+    told(["correct", "-v", OFFICE, out[1], "--effect", "wheel_scale:e=0.02"])
     assert np.array_equal(rows_of(out[0], "/odom").xyt, rows_of(out[1], "/odom").xyt)
-    assert run(["correct", "-v", source, str(tmp_path / "arm.mcap"), "--effect", "lever_arm:x=0.5,y=0"]) == 0
-    assert differ(rows_of(tmp_path / "arm.mcap", "/odom").xyt, rows_of(Path(source), "/odom").xyt) > 0.1
+    told(["correct", "-v", OFFICE, tmp_path / "arm.mcap", "--effect", "lever_arm:x=0.5,y=0"])
+    assert differ(rows_of(tmp_path / "arm.mcap", "/odom").xyt, rows_of(OFFICE, "/odom").xyt) > 0.1
 
 
 def test_steps_of_a_filter_are_taken_out_of_poses_and_not_of_twists(tmp_path, capsys):
@@ -169,76 +166,67 @@ def test_a_truth_that_was_kept_in_the_frame_of_the_odometry_stays(tmp_path):
 def test_effects_of_single_wheels_take_the_track_from_the_command_line(tmp_path, told):
     wrong, right = tmp_path / "wrong.mcap", tmp_path / "right.mcap"
     play = ["--effect", "backlash:travel=0.02"]
-    assert run([str(FIXTURES / "office.mcap"), str(wrong), *play, "--track", "0.4"]) == 0
+    told([OFFICE, wrong, *play, "--track", "0.4"])
     assert "give it in metres with --track" in told(["correct", "-v", wrong, right, *play], 1).err
-    assert run(["correct", "-v", str(wrong), str(right), *play, "--track", "0.4"]) == 0
-    was, off, back = (rows_of(path, "/odom").xyt for path in (FIXTURES / "office.mcap", wrong, right))
+    told(["correct", "-v", wrong, right, *play, "--track", "0.4"])
+    was, off, back = (rows_of(path, "/odom").xyt for path in (OFFICE, wrong, right))
     assert differ(back, was) < 0.2 * differ(off, was)
 
 
-def test_effects_of_places_ask_where_the_drive_began(tmp_path, capsys, told):
-    source, effect = FIXTURES / "office.mcap", ["--effect", "slope:creep=0.02"]
-    start = rows_of(source, "/odom").xyt[0]
-    assert run(["correct", "-v", str(source), str(tmp_path / "silent.mcap"), *effect]) == 0
-    assert "slope: taken out at places and headings of the frame odom, taken to be" in capsys.readouterr().err
+def test_effects_of_places_ask_where_the_drive_began(tmp_path, told):
+    effect, start = ["--effect", "slope:creep=0.02"], rows_of(OFFICE, "/odom").xyt[0]
+    said = told(["correct", "-v", OFFICE, tmp_path / "silent.mcap", *effect]).err
+    assert "slope: taken out at places and headings of the frame odom, taken to be" in said
     same, turned = ("--start", ",".join(map(str, start))), ("--start", "0,0,180deg")
     for name, option in (("same", same), ("turned", turned)):
-        assert "--start" not in told(["correct", "-v", source, tmp_path / f"{name}.mcap", *effect, *option]).err
+        assert "--start" not in told(["correct", "-v", OFFICE, tmp_path / f"{name}.mcap", *effect, *option]).err
     silent, same_path, other = (rows_of(tmp_path / f"{n}.mcap", "/odom").xyt for n in ("silent", "same", "turned"))
     assert differ(same_path, silent) < 1e-9
     assert differ(other, silent) > 0.05
 
 
-def test_learned_effects_of_places_are_not_taken_out_before_their_frame_is_given(tmp_path, capsys, told):
+def test_learned_effects_of_places_are_not_taken_out_before_their_frame_is_given(tmp_path, told):
     model, out = tmp_path / "robot.toml", tmp_path / "out.mcap"
     slope = '\n[[effect]]\nname = "slope"\ncreep = 0.02\n\n[source]\nrecordings = ["run.mcap"]\n'
     model.write_text(NOISE + slope)
-    words = ["correct", str(FIXTURES / "office.mcap"), str(out), "--model", str(model)]
+    words = ["correct", OFFICE, out, "--model", model]
     assert "slope: depends on position or heading in the frame of the truth" in told(words, 2).err
     assert not out.exists()
     assert "--start" not in told([*words, "--start", "odom"]).err
     with pytest.raises(EffectError, match="give the pose at which this odometry begins"):
-        correct(FIXTURES / "office.mcap", tmp_path / "other.mcap", model=model)
-    assert run([str(FIXTURES / "office.mcap"), str(tmp_path / "noisy.mcap"), "--model", str(model)]) == 0
-    assert capsys.readouterr().err.splitlines()[1].startswith("places  ")
+        correct(OFFICE, tmp_path / "other.mcap", model=model)
+    assert told([OFFICE, tmp_path / "noisy.mcap", "--model", model]).err.splitlines()[1].startswith("places  ")
 
 
 @pytest.mark.parametrize("learned_from", ["/odom", "/wheels", "/gone"])
-def test_of_several_odometry_topics_the_one_that_was_learned_from_is_taken(tmp_path, capsys, learned_from):
-    source, model = FIXTURES / "office.mcap", tmp_path / "robot.toml"
-    two = tmp_path / "two.mcap"
-    silent = ["--effect", "wheel_scale:e=0.01", "--seed", "1"]
-    assert run([str(source), str(two), *silent, "--keep-truth", "/wheels"]) == 0
+def test_of_several_odometry_topics_the_one_that_was_learned_from_is_taken(tmp_path, told, learned_from):
+    two, model = tmp_path / "two.mcap", tmp_path / "robot.toml"
+    told([OFFICE, two, "--effect", "wheel_scale:e=0.01", "--seed", "1", "--keep-truth", "/wheels"])
     model.write_text(NOISE + f'\n[[effect]]\nname = "wheel_scale"\ne = 0.01\n\n[source]\nodometry = "{learned_from}"\n')
-    capsys.readouterr()
-    code = run(["correct", str(two), str(tmp_path / "out.mcap"), "--model", str(model)])
-    said = " ".join(capsys.readouterr().err.split())
-    assert code == int(learned_from == "/gone")
-    if code:
+    gone = learned_from == "/gone"
+    said = " ".join(told(["correct", two, tmp_path / "out.mcap", "--model", model], int(gone)).err.split())
+    if gone:
         assert "2 nav_msgs/Odometry topics" in said
     else:
         other = {"/odom": "/wheels", "/wheels": "/odom"}[learned_from]
         assert f"(the topic that the model was learned from; not {other})" in said
 
 
-def test_noise_that_loses_the_place_is_said_of_effects_that_act_at_places(tmp_path, capsys):
+def test_noise_that_loses_the_place_is_said_of_effects_that_act_at_places(tmp_path, told):
     patch = ["--effect", "region_slip:slip=0.05,x=1,y=1,radius=2", "--start", "0,0,0"]
     model = tmp_path / "robot.toml"
     model.write_text(NOISE)
-    for name, noise, said in (("noisy", ["--model", str(model)], True), ("silent", [], False)):
-        out = tmp_path / f"{name}.mcap"
-        assert run(["correct", "-v", str(FIXTURES / "office.mcap"), str(out), *noise, *patch]) == 0
-        assert ("taken out in the wrong place" in capsys.readouterr().err) is said
-        assert run(["correct", str(FIXTURES / "office.mcap"), str(out), "--overwrite", *noise, *patch]) == 0
-        assert any(row.startswith("places  ") for row in capsys.readouterr().err.splitlines()) is said
+    for noise, said in ((["--model", model], True), ([], False)):
+        words = ["correct", OFFICE, tmp_path / "out.mcap", "--overwrite", *noise, *patch]
+        assert ("taken out in the wrong place" in told([*words, "-v"]).err) is said
+        assert any(row.startswith("places  ") for row in told(words).err.splitlines()) is said
 
 
 @pytest.mark.parametrize("options", [[], ["--effect", "gauss_markov:sigma=0.02"]])
-def test_with_nothing_to_undo_the_bag_is_copied_and_that_is_said(tmp_path, options, capsys):
+def test_with_nothing_to_undo_the_bag_is_copied_and_that_is_said(tmp_path, options, told):
     target = tmp_path / "out.mcap"
-    assert run(["correct", "-v", str(FIXTURES / "office.mcap"), str(target), *options]) == 0
-    assert target.read_bytes() == (FIXTURES / "office.mcap").read_bytes()
-    said = capsys.readouterr().err
+    said = told(["correct", "-v", OFFICE, target, *options]).err
+    assert target.read_bytes() == OFFICE.read_bytes()
     assert said.startswith("UNCHANGED ")
     assert ("gauss_markov" in said) == bool(options)
 
@@ -247,21 +235,19 @@ def test_with_nothing_to_undo_the_bag_is_copied_and_that_is_said(tmp_path, optio
 def test_a_learned_time_offset_stays_and_the_way_out_is_named(tmp_path, told, offset, said):
     model = tmp_path / "late.toml"
     model.write_text(f'{NOISE}[[setup.clock]]\nrecording = "a.mcap"\ntime_offset = {offset}\nclock_skew = 0.0\n')
-    words = ["correct", str(FIXTURES / "office.mcap")]
-    text = " ".join(told([*words, tmp_path / "out.mcap", "--model", model]).err.split())
+    text = " ".join(told(["correct", OFFICE, tmp_path / "out.mcap", "--model", model]).err.split())
     assert ("--effect time_offset:offset=0.01515" in text) is said
     # who asks for it gets it, and is not told again
-    asked = [*words, str(tmp_path / "asked.mcap"), "--model", str(model), "--effect", "time_offset:offset=0.015"]
-    assert "stays" not in told(asked).err
+    asked = ["--model", model, "--effect", "time_offset:offset=0.015"]
+    assert "stays" not in told(["correct", OFFICE, tmp_path / "asked.mcap", *asked]).err
 
 
 def test_a_pipe_can_be_written(tmp_path, capfdbinary):
     effect = ["--effect", "wheel_scale:e=0.01"]
-    source = str(FIXTURES / "office.mcap")
-    assert run(["correct", "-v", source, "-", *effect]) == 0
+    assert run(["correct", "-v", str(OFFICE), "-", *effect]) == 0
     piped = tmp_path / "piped.mcap"
     piped.write_bytes(capfdbinary.readouterr().out)
-    assert run(["correct", "-v", source, str(tmp_path / "file.mcap"), *effect]) == 0
+    assert run(["correct", "-v", str(OFFICE), str(tmp_path / "file.mcap"), *effect]) == 0
     assert np.array_equal(rows_of(piped, "/odom").xyt, rows_of(tmp_path / "file.mcap", "/odom").xyt)
 
 
