@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
-from math import degrees, exp, isfinite, radians
+from math import degrees, exp, inf, isfinite, radians
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from odomcorrupt.effects import registry
@@ -1033,7 +1033,7 @@ def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[L
         group, label = (_DOUBTFUL, _PERHAPS) if doubtful else (_NAMED, "")
         if name in search.of_setup and name != _largest(search):
             group, label = _SET_UP, "set-up"
-        ranks[name] = (group, -one.nats)
+        ranks[name] = (group, -inf if name == _largest(search) else -one.nats)
         # without any likelier effect it is what the errors fall by
         weight = FOUND if not doubtful else SPARE if sure else USUAL
         ranked.append((ranks[name], Line(label, said, weight=weight, part="" if group == _SET_UP else _part(one))))

@@ -222,6 +222,7 @@ def _factor_of_course(look: Look, i: int, beside: Array | float) -> float | None
     # unless it travels as many times as far: that is a radius
     unit = not turn.sure or abs(np.log(turn.value ** (2 * i - 1) / DEGREE)) < CLOSE
     unit = unit and not (travel.sure and turn.sure and abs(np.log(travel.value / turn.value)) < _ALIKE)
+    unit = unit and look.correlations.diagonal()[:2].min() < FOLLOWS  # by wrong headings it would drive another way
     off = [1.0 - look.turns_by(i, k) if look.headed and unit and fits[0] < FOLLOWS else 1.0 for k in (DEGREE, 1.0)]
     if off[0] < min(1.0 - FOLLOWS, off[1] / 3.0):
         return 1.0 / DEGREE
@@ -570,7 +571,9 @@ def _wheel_gains(look: Look) -> Figures | None:
     ):
         return None
     dead, reverse = np.abs(gains) < 0.1 * most, gains < -0.3 * most
-    wrong = next(x for x in (reverse, dead, np.abs(gains - 1.0) > 0.15, gains < np.inf) if x.any())
+    wrong = next(x for x in (reverse, dead, np.abs(gains - 1.0) > 0.12, gains < np.inf) if x.any())
+    if len(rolls) == 2 and wrong.all() and not (reverse.any() or abs(gains.mean() - 1.0) > _ALIKE):
+        return None  # a curvature, as of a steering angle's zero
     which = " and ".join(np.array(names)[wrong]) + (" wheel" if wrong.sum() == 1 else " wheels")
     if reverse.any():
         cause = f"the {which} counts the wrong way: channels A and B of its encoder, or its motor, are exchanged"

@@ -85,18 +85,24 @@ def clock_steps(path: Samples) -> list[Step]:
 
 
 def _steps_of_motion(path: Samples, interval: Array, usual_s: float) -> list[Step]:
-    """Return forward clock steps: gaps of the stamps in which a robot in steady motion travels one usual interval."""
+    """Return forward clock steps: gaps of the stamps in which a robot in steady motion travels one usual interval.
+
+    None if it hardly moves in as many other gaps: of a publisher that waits for motion, too.
+    """
     with np.errstate(all="ignore"):  # positions and headings are not checked yet
         gone = np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
         motions = np.stack((gone, np.abs(wrap(np.diff(path.yaw_rad)))) if path.headed else (gone,), axis=1)
-    found: list[Step] = []
+    found, waits, usual = list[Step](), 0, np.percentile(motions, 80.0, axis=0)
     for i in np.flatnonzero((interval > max(GAP_S, GAP_STEPS * usual_s)) & (interval < _FORWARD_S)):
         rows = np.r_[max(i - _BESIDE, 0) : i, i + 1 : i + 1 + _BESIDE] % len(motions)
         beside, regular = motions[rows], np.all(np.abs(interval[rows] - usual_s) < _TOLERANCE * usual_s)
-        steady = (beside.min(axis=0) > 0.5 * beside.max(axis=0)) & (motions[i] < 1.5 * beside.mean(axis=0))
+        usually = beside.mean(axis=0)
+        steady = (beside.min(axis=0) > 0.5 * beside.max(axis=0)) & (np.abs(motions[i] - usually) < 0.5 * usually)
         if regular and _BESIDE <= i < len(motions) - _BESIDE and steady.any():
             found.append(Step(int(i) + 1, float(interval[i]) - usual_s))
-    return found
+        else:
+            waits += bool((motions[i] <= 1.5 * usual).all())
+    return found if waits < len(found) else []
 
 
 def between_steps(path: Samples) -> list[Samples]:

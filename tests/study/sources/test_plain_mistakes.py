@@ -477,6 +477,28 @@ def test_a_filter_of_all_motions_is_no_dead_zone_nor_factor():
     look_at(*look.paths)
 
 
+def test_an_omni_robot_whose_yaw_rate_is_converted_twice_has_a_right_truth():
+    rows = driven(4)
+    rows[:, 1] = np.roll(rows[:, 0], 150)
+    look_at(trajectory(rows * [1.0, 1.0, np.pi / 180.0]), real(rows), "wheel separation")
+
+
+def test_a_steering_angle_that_is_off_is_no_wheel():
+    rows = driven(5) * [1.0, 0.0, 0.0]
+    turns = np.convolve(np.random.default_rng(1).normal(0.0, 0.05, len(rows)), np.ones(100) / 10.0, "same")
+    rows[:, 2] = np.abs(rows[:, 0]) * turns
+    look = Look((trajectory(rows + rows[:, :1] * [0.0, 0.0, 0.14]), real(rows)))
+    assert "wheel gains" not in [one.name for one in first_look(look).mistakes]
+
+
+def test_a_localisation_that_waits_for_motion_has_one_clock():
+    n = np.arange(400)  # after a stop of 3 s the next pose comes a whole step or nearly none farther
+    t_s = 1_700_000_000.0 + np.cumsum(np.where(n % 40 == 36, 3.0, 0.4))
+    step = np.where(n % 80 == 36, 0.02, 0.2)
+    path = samples(t_s, np.column_stack((np.cumsum(step), 0.0 * n)), 0.0 * n, name="/map")
+    assert len(between_steps(path)) == 1
+
+
 def test_a_clock_that_is_late_beside_positions_of_turns_on_the_spot():
     rng, rows = np.random.default_rng(2), []
     while len(rows) < 250.0 * HZ:
