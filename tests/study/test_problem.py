@@ -287,21 +287,17 @@ def held():
 def test_beside_a_truth_of_positions_the_clock_is_estimated_without_the_bends_of_the_model(right, held):
     found = clocks_beside([held], choose_approach([held]), right)
     assert abs(found.clocks[0].offset_s + LATE_S) < 0.002
-    assert found.ranges_s[0][0] < -LATE_S < found.ranges_s[0][1]
 
 
 @pytest.mark.slow
 def test_a_right_model_is_rejected_for_an_error_of_the_clock_only_if_the_clock_is_known_better(right, held):
     at_s, wrong = 0.006 - LATE_S, {"without effects": replace(right, effects=())}
     found = {}
-    for error_s, models in ((0.0005, {}), (0.004, wrong), (0.0, {})):
-        near_s = ((at_s - 2 * error_s, at_s + 2 * error_s),) * (error_s > 0.0)
-        clocks = Clocks((Clock(at_s),), ((True, False),), ((error_s or 0.004, 0.0),), ranges_s=near_s)
+    for error_s, models in ((0.0005, {}), (0.004, wrong)):
+        clocks = Clocks((Clock(at_s),), ((True, False),), ((error_s, 0.0),))
         *others, found[error_s] = compare([held], models | {"right": right}, clocks=clocks).evaluations
         assert all(one.verdict.fails for one in others)
-    assert [one.verdict.fails for one in found.values()] == [True, False, True]
-    moved = [any("clock offset changed by" in note for note in one.notes) for one in found.values()]
-    assert moved[:2] == [False, True]
+    assert [one.verdict.fails for one in found.values()] == [True, False]
     assert len({(one.nats.per_m, one.nats.error, one.ten_second_error_m) for one in found.values()}) == 1
 
 

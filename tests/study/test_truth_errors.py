@@ -16,11 +16,9 @@ from odomcorrupt.model.noise_laws import LAWS, Coefficients
 from odomcorrupt.study.estimate.calibrate import coefficient_intervals, fit_robot
 from odomcorrupt.study.estimate.clocks import nuisance_of
 from odomcorrupt.study.estimate.config import INTERVAL_S, Approach, choose_approach, independent_spacing_s
-from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths, with_pose_steps
+from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.drive_type import MOUNTING
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.intervals import intervals_of
-from odomcorrupt.study.estimate.outliers import single_events
 from odomcorrupt.study.estimate.problem import pose_problem, undo
 from odomcorrupt.study.estimate.whitener import interval_covariance, map_axes, whitener
 from odomcorrupt.study.estimate.windows import drift_of
@@ -269,65 +267,3 @@ def test_a_small_bias_of_the_gyro_is_found_beside_a_localisation():
     learned = learn([localised(fading, every=20, noise=STEADY, seconds=420.0, yaw_rate=0.001)])
     (bias,) = (effect.bias for effect in learned.fit.effects if effect.name == "gyro_bias")
     assert bias == pytest.approx(-0.001, rel=0.2)
-
-
-PUSHED_S = 200.0
-
-
-def pushed(seed, *, pushed_m=0.0, turned_rad=0.0, jump_m=0.0):
-    """Return a recording with poses of a localisation at 1.25 Hz, correlated errors, and a push or a jump."""
-    steps = wander(seed, 420.0)
-    run = recording(steps, noisy_path(steps, Coefficients(0.003, 0.003, 0.003, 0.001), seed), seed=seed)
-    travel = steps.ds_m.copy()
-    turn = steps.dtheta_rad.copy()
-    travel[round(50 * PUSHED_S) : round(50 * PUSHED_S) + 75] += pushed_m / 75.0
-    turn[round(50 * PUSHED_S) : round(50 * PUSHED_S) + 75] += turned_rad / 75.0
-    true = accumulate(np.zeros(3), Increments(travel, steps.dl_m, turn))[::40]
-    rng = np.random.default_rng(seed)
-    errors = correlated(rng, np.full(len(true) - 1, 0.8), [0.025, 0.025, 0.01])
-    jumps = (np.arange(len(true)) >= 250) & (np.arange(len(true)) < 256)
-    errors[jumps, 0] += jump_m
-    return replace(run, truth=Trajectory(run.odometry.stamps_ns[::40], true + errors), localised=True)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("seed", "pushed_m"), [(1, -0.6), (3, 0.25)])
-def test_a_push_is_found_with_time_and_size_and_no_interval_contains_it(seed, pushed_m):
-    run = with_pose_steps(pushed(seed, pushed_m=pushed_m))
-    (step,) = run.pose_steps
-    assert PUSHED_S - 2.0 < step.start_s < step.end_s < PUSHED_S + 4.0
-    assert np.hypot(*step.apart[:2]) == pytest.approx(abs(pushed_m), abs=0.12)
-    assert step.apart[2] == pytest.approx(0.0, abs=0.04)
-    intervals = intervals_of(run, 2.0)
-    assert not np.any((intervals.start_s < step.end_s) & (intervals.end_s > step.start_s))
-    assert np.abs(intervals.residual[:, :2]).max() < 0.3
-
-
-@pytest.mark.slow
-def test_a_robot_that_is_turned_is_not_moved_far():
-    (step,) = with_pose_steps(pushed(0, turned_rad=0.4)).pose_steps
-    assert step.apart[2] == pytest.approx(0.4, abs=0.05)
-    assert np.hypot(*step.apart[:2]) < 0.3
-
-
-@pytest.mark.slow
-def test_a_jump_of_the_localisation_shortly_before_a_push_is_no_part_of_it():
-    run = pushed(0, pushed_m=0.6)
-    truth = run.truth.xyt.copy()
-    truth[247:250, :2] += 0.4
-    jumped = with_pose_steps(replace(run, truth=Trajectory(run.truth.stamps_ns, truth)))
-    (event,) = single_events(fit([jumped], approach=Approach(spacing_s=2.0)))
-    assert PUSHED_S - 2.0 < event.start_s < event.end_s < PUSHED_S + 4.0
-    assert np.hypot(event.along_m, event.across_m) == pytest.approx(0.6, abs=0.12)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("seed", "jump_m"), [(0, 0.3), (1, 0.0)])
-def test_errors_of_the_localisation_are_no_steps(seed, jump_m):
-    assert with_pose_steps(pushed(seed, jump_m=jump_m)).pose_steps == ()
-
-
-def test_simulated_odometry_that_equals_its_localisation_has_no_step():
-    run = pushed(3)
-    truth = Trajectory(run.odometry.stamps_ns[::40], run.odometry.xyt[::40])
-    assert with_pose_steps(replace(run, truth=truth)).pose_steps == ()

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 SETUP_LEVEL = 1e-4
 """Significance level of a part of the set-up: of a clock, a lever arm, or a mounting yaw."""
 _CLOCK_LIMIT = float(np.sqrt(chi2.isf(SETUP_LEVEL, 1)))
-_RANGE = 2.0
-"""Half width of the range of an offset, in standard errors."""
 _CLOCK_HARM = 1.15
 """Ratio by which a clock may increase the 10 s error; a larger one rejects it, even if significant."""
 _PLAIN_LEVEL, _MOST_LEVEL = 3.0, 30.0
@@ -55,15 +53,13 @@ the model yet can pull it: scans were aligned with the odometry before, and slip
 class Clocks:
     """Clocks of R recordings, whether their offset and rate are significant, and their standard errors (R, 2).
 
-    The error of an offset includes the rounding of stamps.
+    The error of an offset includes the rounding of stamps. An offset that is not significant is zero; its error is 0 if
+    it increases the 10 s error.
 
     noise, beside : noise and nuisance effects of the last fit: starting values for later fits, not results
     margins_nats : log-likelihood gain of a clock over each effect beside which it is not significant
     truths : noise of each recording's truth, from the fit of its clock
     left_nats : log-likelihood gain of dependences on accelerations beside the clocks
-    ranges_s : least and largest offset within two standard errors, with the usual systematic effects and rivals free;
-        also of an offset that is left at zero because it is not significant; (0, 0) if an offset increases the 10 s
-        error
     held : names of recordings that cannot tell their clock: it is the mean of the others', or zero
     """
 
@@ -75,22 +71,17 @@ class Clocks:
     margins_nats: tuple[float, ...] = ()
     truths: tuple[TruthNoise, ...] = ()
     left_nats: float = 0.0
-    ranges_s: tuple[tuple[float, float], ...] = ()
     held: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    """Clock of some runs, whether its offset and rate are significant, their errors, and the fit they come from.
-
-    unused_s : estimate and standard error of an offset that is left at zero because it is not significant
-    """
+    """Clock of some runs, whether its offset and rate are significant, their errors, and the fit they come from."""
 
     clock: Clock
     free: tuple[bool, bool]
     errors: tuple[float, float]
     fit: Fit
-    unused_s: tuple[float, float] = (0.0, 0.0)
 
 
 def nuisance_of(recordings: Sequence[Recording]) -> tuple[str, ...]:
@@ -132,36 +123,15 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach, beside: Seq
         clock = Clock(mean_s) if abs(mean_s) > _CLOCK_LIMIT * error_s else clock
     common = replace(longest, clock=clock, free=(False, False), errors=(0.0, 0.0))
     each = [found.get(leader, common) for leader in leaders]
-    errors = with_rounding([f.errors for f in each], [f.free for f in each], recordings)
-    offsets = [
-        (f.clock.offset_s, own[0]) if f.free[0] or f is common else f.unused_s
-        for f, own in zip(each, errors, strict=True)
-    ]
     return Clocks(
         tuple(f.clock for f in each),
         tuple(f.free for f in each),
-        errors,
+        with_rounding([f.errors for f in each], [f.free for f in each], recordings),
         longest.fit.noise.free,
         tuple(e for e in longest.fit.next_effects if e.name in _NUISANCE),
         truths=tuple(f.fit.noise.truth for f in each),
-        ranges_s=tuple((offset_s - _RANGE * error_s, offset_s + _RANGE * error_s) for offset_s, error_s in offsets),
         held=tuple(r.name for r, own in zip(recordings, each, strict=True) if own is common),
     )
-
-
-def most_likely_clocks(recordings: Sequence[Recording], clocks: Clocks, approach: Approach) -> tuple[Clock, ...]:
-    """Return the clocks with the most likely offset of their ranges, without any effect beside them.
-
-    recordings : with the effects of a model removed from the odometry
-    """
-    leaders = clock_leaders(recordings)
-    found = dict(enumerate(clocks.clocks))
-    for leader in {i for i, range_s in zip(leaders, clocks.ranges_s, strict=False) if range_s[0] < range_s[1]}:
-        runs = [r for r, own in zip(recordings, leaders, strict=True) if own == leader]
-        problem = pose_problem(runs, (), [clocks.clocks[leader]] * len(runs), approach=approach)
-        likely = fit_problem(problem, [(True, False)] * len(runs), nearly=True).next_clocks[0]
-        found[leader] = replace(likely, offset_s=float(np.clip(likely.offset_s, *clocks.ranges_s[leader])))
-    return tuple(found[leader] for leader in leaders)
 
 
 def with_rounding(
@@ -213,8 +183,7 @@ def _find_clock(runs: Sequence[Recording], approach: Approach, beside: Sequence[
             return _Found(clock, free, errors, best)
     if all(r.matched for r in runs) and errors[0] < _KNOWN_S and abs(clock.offset_s) < _PULLED_S:
         return _Found(Clock(), free, errors, best)
-    unused_s = (0.0, 0.0) if clear else (clock.offset_s, errors[0])
-    return _Found(Clock(), (False, False), (0.0, 0.0), best, unused_s)
+    return _Found(Clock(), (False, False), (0.0 if clear else errors[0], 0.0), best)
 
 
 def _of_stamps(runs: Sequence[Recording], clock: Clock, error_s: float) -> bool:

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.io.recording import PoseStep, Recording
 
 _FEWEST = 6
 _LEVEL = 0.02
@@ -80,8 +79,8 @@ class Event:
 
 
 def events(fit: Fit) -> list[Event]:
-    """Return in order of time the stretches that a robust fit excludes or flags, neighbouring intervals merged."""
-    found = [*_left_out(fit), *_events_of(fit, np.flatnonzero(fit.noise.weights > 1.0))]
+    """Return in order of time the stretches that a robust fit flags, neighbouring intervals merged."""
+    found = _events_of(fit, np.flatnonzero(fit.noise.weights > 1.0))
     return sorted(found, key=lambda event: (event.recording, event.start_s))
 
 
@@ -98,12 +97,7 @@ def single_events(fit: Fit) -> list[Event]:
     whole = [np.arange(group[0], group[-1] + 1) for group in groups]
     found = [event for event in _described(fit, whole) if event.lasting]
     apart_s = _SAME_EVENT * fit.problem.approach.spacing_s
-    left_out = _left_out(fit)
-    # medians of the poses around a step measure it; sums over intervals beside it contain errors of single poses
-    found = [
-        event for event in (*found, *_across_gaps(fit))
-        if event.plain > _PLAINLY_ODD and not any(_near(event, step, apart_s) for step in left_out)
-    ] + left_out  # fmt: skip
+    found = [event for event in (*found, *_across_gaps(fit)) if event.plain > _PLAINLY_ODD]
     if not any(recording.positioned for recording in fit.problem.recordings):
         found = [replace(event, along_m=0.0, across_m=0.0) for event in found]
     found.sort(key=lambda event: (event.recording, event.start_s))
@@ -114,31 +108,6 @@ def single_events(fit: Fit) -> list[Event]:
         else:
             joined.append(event)
     return joined if len(joined) <= _MOST_SINGLE else []
-
-
-def _left_out(fit: Fit) -> list[Event]:
-    """Return as events the steps between odometry and a localisation; no interval contains them."""
-    usual = usual_residual(fit)
-
-    def turn_rad(recording: Recording, step: PoseStep) -> float:
-        start, end = recording.odometry.heading_at(np.array([step.start_s, step.end_s]), recording.origin_ns).tolist()
-        return float(end - start)
-
-    return [
-        Event(
-            recording=recording.name,
-            start_s=step.start_s,
-            end_s=step.end_s,
-            along_m=-step.apart[0],
-            across_m=-step.apart[1],
-            yaw_rad=-step.apart[2],
-            turn_rad=turn_rad(recording, step),
-            place_xy=step.place_xy,
-            plain=float(np.linalg.norm(step.apart / usual)),
-        )
-        for recording in fit.problem.recordings
-        for step in recording.pose_steps
-    ]  # fmt: skip
 
 
 def _near(one: Event, other: Event, apart_s: float) -> bool:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import chi2
 
+from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.windows import WindowErrors
 
@@ -37,7 +38,8 @@ class ParameterUncertainty:
     """Sensitivity of window errors to one standard error of each parameter.
 
     scale : (p,) relative change of the mean NEES per standard error of each coefficient
-    gram : (q, q) mean normalised products, per degree of freedom, of the effects' errors per standard error
+    gram : (q, q) mean normalised products, per degree of freedom, of the errors per standard error of the effects and
+        of the clock's offset
     truth : (c,) relative standard deviation of each channel's square from the truth's approximate noise model
     """
 
@@ -55,7 +57,7 @@ def uncertainty_of(
     inflate: float,
     positions: PositionWindows | None = None,
 ) -> ParameterUncertainty:
-    """Return the model's uncertainty on these windows; a model without standard errors counts as exact.
+    """Return the uncertainty of a model and of the recording's clock on these windows; without errors, both are exact.
 
     inflate : factor on the standard errors, for a model refitted on fewer data
     positions : as in `Evaluation.errors_of`
@@ -78,6 +80,8 @@ def uncertainty_of(
     for effect in problem.effects:
         sizes = [model.standard_errors.get(f"{effect.name}.{p.name}", 0.0) for p in amplitudes(effect)]
         parts.append(at_ends.columns(effect) * np.array(sizes) * inflate)
+    (recording,) = problem.recordings
+    parts.append(at_ends.columns(registry()["time_offset"]()) * recording.stamp_error_s)
     columns = np.concatenate(parts, axis=2)[:, :count]
     solved = np.linalg.solve(errors.covariance, columns)
     gram = np.einsum("nci,ncj->ij", columns, solved) / (len(errors) * count)

@@ -6,9 +6,7 @@ position error after 10 s fell to 95 % while the log likelihood fell by 24 nats 
 doubled.
 
 If each were evaluated with its best clock, a clock would make up for a part of the errors of a wrong model (late travel
-looks like slip at starts). But a clock is known within its standard error only. A model that is rejected is therefore
-tested again with the offset that is most likely for it within two standard errors; a wrong model gains no more than
-this, because the range does not depend on it.
+looks like slip at starts). But a clock is known within its standard error only, which widens the bounds of all of them.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.calibrate import model_of
-from odomcorrupt.study.estimate.clocks import Clocks, clock_rivals, find_clocks, most_likely_clocks
+from odomcorrupt.study.estimate.clocks import Clocks, clock_rivals, find_clocks
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.gauss_newton import fit_problem
@@ -35,7 +33,7 @@ from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.validate.calibration import CURVE_M, HORIZONS_M, Horizon
 from odomcorrupt.study.validate.cross_validation import HELD_BY, split_of
 from odomcorrupt.study.validate.evaluation import Evaluation, LogScore, evaluate_stretch, horizons_of, log_score_of
-from odomcorrupt.study.validate.goodness_of_fit import PRACTICAL_FACTOR, Verdict, pits_of, verdict_of, whiteness_of
+from odomcorrupt.study.validate.goodness_of_fit import Verdict, pits_of, verdict_of, whiteness_of
 from odomcorrupt.study.validate.lack_of_fit import Failure, drift_failures, failures, sudden_failures
 from odomcorrupt.study.validate.trajectory_error import TrajectoryError, trajectory_error
 
@@ -110,8 +108,7 @@ def compare(
 ) -> Comparison:
     """Return the evaluation of models (by name) on recordings; default clocks: `clocks_beside` the last model.
 
-    All models are evaluated with the same clocks, so that differences between them are not those of clocks. A model
-    that fails there does not if its most likely offsets within two standard errors remove the misfit.
+    All models are evaluated with the same clocks, so that differences between them are not those of clocks.
     """
     if not any(model.noise.per_message for model in models.values()):
         recordings = thinned(recordings)
@@ -128,13 +125,6 @@ def compare(
         name: _evaluation(name, models[name], own, first, split.notes, fitted=any(known[name]))
         for name, own in judged.items()
     }
-    for name, evaluation in evaluations.items():
-        if evaluation.verdict.fails and can_be_of_clocks(evaluation.horizons, recordings, found):
-            likely = most_likely_clocks(without_effects_of(models[name], recordings), found, approach)
-            own = replace(found, clocks=likely)
-            pieces = _evaluated(models[name], split.folds(_on_time(recordings, own)), approach)
-            again = _evaluation(name, models[name], pieces, pieces, split.notes, fitted=any(known[name]))
-            evaluations[name] = evaluation if again.verdict.fails else _with_own_clocks(evaluation, again, found, own)
     # A truth of positions only gets headings, because windows start at a pose.
     raw = [piece for fold in split.folds([aligned(r, Clock()) for r in recordings]) for piece in fold.test]
     clock_right = [piece for fold in folds for piece in fold.test]
@@ -149,18 +139,9 @@ def compare(
 
 
 def _on_time(recordings: Sequence[Recording], clocks: Clocks) -> list[Recording]:
-    return [aligned(r, c) for r, c in zip(recordings, clocks.clocks, strict=True)]
-
-
-def _with_own_clocks(before: ModelEvaluation, after: ModelEvaluation, common: Clocks, own: Clocks) -> ModelEvaluation:
-    """Return an evaluation whose tests of fit are those with a model's own clocks; scores keep the common clocks."""
-    by = [f"{(a.offset_s - b.offset_s) * 1e3:+.2g}" for a, b in zip(own.clocks, common.clocks, strict=True)]
-    note = (
-        f"its fit was tested with the clock offset changed by {', '.join(by)} ms, within two standard errors: "
-        "it would be rejected with the estimated offset only"
-    )
-    tests = ("horizons", "curve", "pits", "whiteness", "verdict", "failures")
-    return replace(before, notes=(*before.notes, note), **{name: getattr(after, name) for name in tests})
+    """Return recordings with corrected clocks, whose offsets have the remaining errors."""
+    known = zip(recordings, clocks.clocks, clocks.errors, strict=True)
+    return [replace(aligned(r, clock), stamp_error_s=error_s) for r, clock, (error_s, _) in known]
 
 
 def _evaluated(model: MotionModel, folds: Sequence[Fold], approach: Approach) -> list[Evaluation]:
@@ -318,32 +299,11 @@ def clocks_beside(
 
     found = plain
     n = len(recordings)
-    none = replace(
-        plain, clocks=(Clock(),) * n, free=((False, False),) * n, errors=((0.0, 0.0),) * n, ranges_s=((0.0, 0.0),) * n
-    )
+    none = replace(plain, clocks=(Clock(),) * n, free=((False, False),) * n, errors=((0.0, 0.0),) * n)
     for other in (none, applied):
         if error_m(other) < _MAX_ERROR_RATIO * error_m(found):
             found = other
     return found
-
-
-def can_be_of_clocks(horizons: Sequence[Horizon], recordings: Sequence[Recording], clocks: Clocks) -> bool:
-    """Return whether clocks within their ranges can explain too large errors: a cheap bound for clearly wrong models.
-
-    An offset changes the error over a window by at most twice the speed times the change.
-    """
-    shift_m = max(
-        (2.0 * _speed(r) * (high - low) for r, (low, high) in zip(recordings, clocks.ranges_s, strict=False)),
-        default=0.0,
-    )
-    excess_m = [h.position_measured - PRACTICAL_FACTOR * h.position_expected for h in horizons]
-    return shift_m > 0.0 and not any(own > shift_m for own in excess_m)
-
-
-def _speed(recording: Recording) -> float:
-    """Return the speed (m/s) that the odometry exceeds in 1 % of its intervals."""
-    gone_m = np.hypot(*np.diff(recording.odometry.xyt[:, :2], axis=0).T)
-    return float(np.quantile(gone_m, 0.99) / np.median(np.diff(recording.odometry_s)))
 
 
 def _effects(model: MotionModel, recording: Recording) -> tuple[Effect, ...]:
