@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import minimize
 
-from odomcorrupt.errors import FitError
-from odomcorrupt.model.motion_model import TruthNoise
-from odomcorrupt.study.estimate.noise_likelihood import TRUTH_BOUNDS, outliers
+from odomcorrupt.study.estimate.noise_likelihood import VarianceComponents, fit_noise
 from odomcorrupt.study.estimate.problem import Problem, pose_problem
 from odomcorrupt.study.estimate.random_process import (
     CORRELATED_NOISE,
@@ -20,7 +17,6 @@ from odomcorrupt.study.estimate.random_process import (
     processes_like,
     widened,
 )
-from odomcorrupt.study.estimate.regressors import truth_noise
 from odomcorrupt.study.estimate.robust_errors import BLOCK_S
 from odomcorrupt.study.estimate.whitener import FLOOR, Whitener, interval_covariance, whitener
 from odomcorrupt.study.estimate.windows import WindowErrors, distance_windows, position_windows
@@ -32,7 +28,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect, Motion, RandomCoefficient
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.model.motion_model import MotionModel, TruthNoise
     from odomcorrupt.study.estimate.config import Approach
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.estimate.windows import PositionWindows
@@ -99,8 +95,6 @@ def _of_gain(gain: RandomCoefficient, windows: Intervals, motion: Motion) -> Arr
 _MIN_NATS_PER_INTERVAL = 0.3
 """A recording's truth gets its own noise if that explains this much more per interval; noise half as large again does
 so if it is most of the residual."""
-_MAX_NOISE_RATIO, _ROBUST_ROUNDS = 5.0, 6
-"""Bound of a truth's noise relative to that of its samples (a tracker's filter hides some); rounds of the estimate."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,10 +205,9 @@ def evaluate_stretch(
     intervals = problem.intervals
     q = intervals.covariance(model.noise.law, model.noise.coefficients, problem.steps)
     headed = recording.headed
-    truth = model.setup.truth or _robust_truth(intervals, q, recording)[0]
-    if model.setup.truth is not None and inflation == 1.0:
-        truth = _own_truth(intervals, q, truth, recording)
-    band = _whitener(intervals, q, truth, recording)
+    stated = model.setup.truth
+    truth = stated if stated is not None and inflation > 1.0 else _own_truth(problem, q, model)
+    band = _whitener(problem, q, truth)
     random = [effect for effect in model.effects if effect.name in CORRELATED_NOISE]
     white = widened(band, problem, random)
     innovations = white.whiten(intervals.residual)
@@ -254,67 +247,30 @@ def _random_effects(model: MotionModel) -> list[Effect]:
     return [effect for effect in model.effects if effect.kind == "noise" and not effect.restorable]
 
 
-def _own_truth(intervals: Intervals, q: Array, stated: TruthNoise, recording: Recording) -> TruthNoise:
-    """Return the noise of a recording's truth if it clearly differs from the noise stated in the model.
+def _own_truth(problem: Problem, q: Array, model: MotionModel) -> TruthNoise:
+    """Return the noise of a recording's truth if the model states none, or one that differs clearly from it.
 
     Noise of a truth is no property of the robot: a model may be fitted to motion capture and evaluated on AMCL. It must
-    not absorb the robot's errors either. It is therefore estimated without the few outlying intervals, and bounded by
-    the noise that the truth's own samples show, if its errors are not correlated from sample to sample, as those of a
-    localisation, of matched scans and of other odometry are. Satellite reception may differ between drives, so the
-    bound is at least the stated noise.
+    not absorb the robot's errors either. It is therefore fitted beside noise of the odometry, without outliers.
+
+    q : (K, 3, 3) covariance of the residuals from the model's noise
     """
-    own, usual = _robust_truth(intervals, q, recording)
-    if recording.headed and recording.truth.covariance is None and not recording.localised:
-        x, y, yaw = (_MAX_NOISE_RATIO * truth_noise(recording.truth)).tolist()
-        xy = float(np.hypot(x, y)) / np.sqrt(2.0)
-        own = TruthNoise(*map(min, astuple(own), map(max, (xy, yaw, xy), astuple(stated))))
-    nats = _nats(intervals, usual, own, recording) - _nats(intervals, usual, stated, recording)
-    return own if nats > _MIN_NATS_PER_INTERVAL * len(intervals) else stated
+    intervals, stated = problem.intervals, model.setup.truth
+    components = VarianceComponents(model.noise.law, intervals, problem.steps)
+    none = np.zeros((len(intervals), 3, 0))
+    own = fit_noise(intervals, components, none, headings=problem.headings, bursts=True)
+    if stated is None:
+        return own.truth
+
+    def nats(truth: TruthNoise) -> float:
+        white = _whitener(problem, q * own.weights[:, None, None], truth)
+        return white.log_likelihood(white.whiten(intervals.residual))
+
+    return own.truth if nats(own.truth) - nats(stated) > _MIN_NATS_PER_INTERVAL * len(intervals) else stated
 
 
-def _nats(intervals: Intervals, q: Array, truth: TruthNoise, recording: Recording) -> float:
-    """Return the log likelihood of residuals, the odometry's covariances being q (K, 3, 3); -1e12 if it has none."""
-    try:
-        white = _whitener(intervals, q, truth, recording)
-    except FitError:
-        return -1e12
-    return white.log_likelihood(white.whiten(intervals.residual))
-
-
-def _whitener(intervals: Intervals, q: Array, truth: TruthNoise, recording: Recording) -> Whitener:
-    return whitener(intervals, q, truth if recording.headed else replace(truth, yaw_rad=UNKNOWN_RAD))
-
-
-def _robust_truth(intervals: Intervals, q: Array, recording: Recording) -> tuple[TruthNoise, Array]:
-    """Return the maximum-likelihood noise of the truth, and the odometry's covariances (K, 3, 3) used with it.
-
-    Outlying intervals get wider covariances, as in a fit, because a slip of some degrees is no noise of the truth. The
-    starting values come from medians, which slips do not affect.
-    """
-    spread = (1.4826 * np.median(np.abs(intervals.residual), axis=0)) ** 2
-    both = np.maximum(spread - np.median(np.einsum("kii->ki", q), axis=0), 0.1 * spread) / 2.0
-    start = np.append(np.log(np.maximum((max(both[0], both[1]), both[2]), 1e-12)) / 2.0, np.log(1e-4))
-    start = np.clip(start, TRUTH_BOUNDS[0, 0], 0.0)
-    truth, usual = TruthNoise(*np.exp(start).tolist()), q
-    for _ in range(_ROBUST_ROUNDS):
-        try:
-            white = _whitener(intervals, usual, truth, recording)
-        except FitError:
-            break
-        square = np.sum(white.whiten(intervals.residual).reshape(-1, 3) ** 2, axis=1)
-        worse = outliers(square)
-        if not worse.any():
-            break
-        seen = truth if recording.headed else replace(truth, yaw_rad=UNKNOWN_RAD)
-        own = np.eye(3) * FLOOR + interval_covariance(intervals, usual, seen)
-        usual = usual + np.where(worse, np.maximum(square / 3.0 - 1.0, 0.0), 0.0)[:, None, None] * own
-
-    def cost(free: Array) -> float:
-        return -_nats(intervals, usual, TruthNoise(*np.exp(free).tolist()), recording)
-
-    found = minimize(cost, start, method="L-BFGS-B", bounds=TRUTH_BOUNDS, options={"eps": 1e-4, "maxiter": 40}).x
-    xy, yaw, walk = np.exp(found).tolist()
-    return TruthNoise(xy, yaw if recording.headed else UNKNOWN_RAD, walk), usual
+def _whitener(problem: Problem, q: Array, truth: TruthNoise) -> Whitener:
+    return whitener(problem.intervals, q, truth if problem.headings else replace(truth, yaw_rad=UNKNOWN_RAD))
 
 
 @dataclass(frozen=True, slots=True)
