@@ -72,7 +72,7 @@ def unknown(channel, regressor, *, per="m"):
     """Say that a basis function explains 40 nats of a channel's error."""
     places = {"position": np.array([[0.0, 0.0], [1.0, 0.5], [2.0, -1.0]]), "heading": np.arange(3.0)}
     centres = places.get(regressor, np.linspace(-1.0, 1.0, 9))
-    function = BasisFunction(regressor, f"k * cos({regressor})", (lambda m: m.distance,), 1)
+    function = BasisFunction(regressor, f"k * cos({regressor})", 1)
     term = BasisTerm(function, Action(channel, "v" if per == "m" else "omega"))
     score = Score(
         estimate=np.array([0.01]), standard_error=np.array([0.001]), inflation=1.0, p=1e-6,
@@ -364,7 +364,7 @@ def test_errors_too_small_reject_a_model_and_leave_nothing_to_name(sequence):
 
 
 def test_an_included_law_is_reported_with_the_numbers_of_the_model(searched):
-    function = BasisFunction("acceleration", "k * a", (lambda m: m.a,))
+    function = BasisFunction("acceleration", "k * a")
     found = replace(UNKNOWNS[0], term=BasisTerm(function, Action("yaw", "v")))
     effect = user_effect("yaw_over_acceleration", "yaw += v * (k * a)", {"k": 0.0123})
     fit = SimpleNamespace(effects=(effect,), standard_errors=np.array([0.001]))

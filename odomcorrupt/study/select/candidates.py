@@ -19,7 +19,6 @@ from odomcorrupt.study.estimate.problem import by_column
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.dictionary import ClockChoice, ClockTerm, linearised
 from odomcorrupt.study.select.evidence import project_out, scores_of
-from odomcorrupt.study.terms.channels import MOVES
 from odomcorrupt.study.terms.splines import curve_regressors
 
 if TYPE_CHECKING:
@@ -206,10 +205,7 @@ def _curve(fit: Fit, term: BasisTerm, inflation: float) -> tuple[Array, Array, A
     """Return centres, coefficients and errors of the hats that describe a dependence; None with fewer than two."""
     motions, recordings = fit.problem.motions, fit.problem.recordings
     amount = np.concatenate(
-        [
-            {"m": np.hypot(m.v, m.vy), "rad": MOVES["omega"](m), "s": np.ones(len(m))}[term.action.per] * m.dt_s
-            for m in motions
-        ]
+        [{"m": np.hypot(m.v, m.vy), "rad": m.omega, "s": np.ones(len(m))}[term.action.per] * m.dt_s for m in motions]
     )
     regressors = curve_regressors(
         motions, placed=shared_frame(recordings) is not None, sideways=is_holonomic(recordings, motions)

@@ -26,8 +26,8 @@ from odomcorrupt.study.estimate.drive_type import is_holonomic
 from odomcorrupt.study.estimate.problem import by_column
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.evidence import project_out
-from odomcorrupt.study.terms.basis import basis_functions
-from odomcorrupt.study.terms.channels import MOVES, actions_on, views
+from odomcorrupt.study.terms.basis import basis_functions, evaluated
+from odomcorrupt.study.terms.channels import actions_on, views
 from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm, T, Term, neighbours
 
 if TYPE_CHECKING:
@@ -130,12 +130,12 @@ class CoarseDesign:
     def means(self, functions: Sequence[BasisFunction], view: str, move: str) -> Array:
         """Return the means (K, P) of functions over the intervals, weighted by the motion of each sample."""
         seen, count = self._seen[view], len(self._intervals)
-        weight = np.abs(MOVES[move](seen)).reshape(count, -1) + 1e-9
+        weight = np.abs(evaluated(move, seen)).reshape(count, -1) + 1e-9
         weight = weight / weight.sum(axis=1, keepdims=True)
-        parts = [part for function in functions for part in function.parts]
+        parts = [part for function in functions for part in function.parts(seen)]
         means = np.empty((len(parts), count))
         for own, part in zip(means, parts, strict=True):
-            np.einsum("ks,ks->k", weight, part(seen).reshape(count, -1), out=own)
+            np.einsum("ks,ks->k", weight, part.reshape(count, -1), out=own)
         return means.T
 
     def _library(self, term: LibraryTerm) -> Array:
@@ -205,9 +205,9 @@ def promising_terms(fit: Fit, rest: Projection, design: CoarseDesign) -> list[Sc
         functions = design.reaching(action)
         means = [design.means_of_all(view, action) for view, _ in design.units(action)]
         kept = _best_apart(fit, design, action, means, pull)
-        first = _first_of([len(function.parts) for function in functions])
+        first = _first_of([function.width for function in functions])
         columns = np.concatenate([np.arange(first[i], first[i + 1]) for i in kept])
-        counts = [len(functions[i].parts) for i in kept]
+        counts = [functions[i].width for i in kept]
         gains = coarse_gains(fit, rest, design.acting(action, [mean[:, columns] for mean in means]), counts)
         found += [Screened(BasisTerm(functions[i], action), float(g)) for i, g in zip(kept, gains, strict=True)]
     return found
@@ -228,7 +228,7 @@ def _best_apart(fit: Fit, design: CoarseDesign, action: Action, means: Sequence[
         for x, n in zip(white, means, strict=True)
     )
     apart = np.asarray(score) ** 2 / np.maximum(np.asarray(length), 1e-300)
-    gains = 0.5 * np.add.reduceat(apart, _first_of([len(function.parts) for function in functions])[:-1])
+    gains = 0.5 * np.add.reduceat(apart, _first_of([function.width for function in functions])[:-1])
     kept = list[int]()
     for regressor in dict.fromkeys(function.regressor for function in functions):
         own = [i for i, f in enumerate(functions) if f.regressor == regressor]
@@ -244,6 +244,8 @@ def _first_of(counts: Sequence[int]) -> NDArray[np.int64]:
 _WIDE, _COARSE = (4.0, 2.0), (1.0, 0.5, 0.25, 0.125)
 """Scales of the steps of a shape search; wide ones for places, whose gain changes only when an edge reaches another
 part of the path."""
+_PLACE = 3
+"""Number of shape parameters from which on a basis function is one of a place."""
 _SIMPLEX = 0.25
 """Scale of the first simplex."""
 _MOST_STEPS, _WORTH_NATS = 12, 0.1  # largest number of steps at each scale; least gain of a step
@@ -332,7 +334,7 @@ class ShapeSearch:
         """Return the term at the nearest maximum of the approximate gain; unchanged if it is an effect with memory."""
         if not len(term.shape) or (isinstance(term, LibraryTerm) and term.remembers):
             return term
-        wide = _WIDE if isinstance(term, BasisTerm) and term.several_maxima else ()
+        wide = _WIDE if isinstance(term, BasisTerm) and len(term.shape) >= _PLACE else ()
         (nats,) = self.coarse_gains([term])
         for scale in wide + _COARSE:
             for _ in range(_MOST_STEPS):
@@ -361,7 +363,7 @@ class ShapeSearch:
         return moved(minimize(lambda by: -self.gain(moved(by)), none, method="Nelder-Mead", options=options).x)
 
 
-def starts(ranked: Sequence[T], nats: float) -> list[T]:
+def starts(ranked: Sequence[LibraryTerm], nats: float) -> list[LibraryTerm]:
     """Return terms to refine, the best first: one, or if its gain is large, some that may lead to other maxima.
 
     nats : gain of the best
@@ -370,15 +372,7 @@ def starts(ranked: Sequence[T], nats: float) -> list[T]:
     for term in ranked[1:]:
         if len(chosen) == _STARTS or nats < _LARGE_NATS:
             break
-        if all(_apart(term, other) for other in chosen):
+        # two members that differ by less than a step are likely to lead to the same maximum
+        if all(np.any(np.abs(term.shape - other.shape) > term.steps) for other in chosen):
             chosen.append(term)
     return chosen
-
-
-def _apart(one: Term, other: Term) -> bool:
-    """Return whether two terms are likely to lead to different maxima."""
-    if getattr(one, "action", None) != getattr(other, "action", None) or len(one.shape) != len(other.shape):
-        return True
-    if isinstance(one, BasisTerm) and isinstance(other, BasisTerm) and one.function.form != other.function.form:
-        return True
-    return one.several_maxima and bool(np.any(np.abs(one.shape - other.shape) > one.steps))

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
+from odomcorrupt.effects.expression import FUNCTIONS, VARIABLES
 from odomcorrupt.effects.wheels import wheel_motions
 
 if TYPE_CHECKING:
@@ -22,12 +23,18 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.motion import Motion
     from odomcorrupt.geometry.se2 import Array
 
-    Of = Callable[[Motion], Array]
-
 COEFFICIENTS = ("k", "m")
 """Names of the coefficients in an expression."""
+_FUNCTIONS = {name: function for name, (_, _, function) in FUNCTIONS.items()}
 REFINING = 2
 """Factor on the size of a family for each shape parameter that may be refined."""
+
+
+def evaluated(text: str, motion: Motion, **coefficients: float) -> Array:
+    """Return the values (n,) of an expression of this module on a motion of n intervals."""
+    variables = {name: getattr(motion, "t_s" if name == "t" else name) for name in VARIABLES}
+    value = eval(text, {"__builtins__": {}}, _FUNCTIONS | variables | coefficients)  # noqa: S307 - written here
+    return np.broadcast_to(np.asarray(value, dtype=np.float64), len(motion))
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,9 +43,7 @@ class BasisFunction:
 
     regressor : name of the regressor
     text : expression of an effect, with coefficients named as in `COEFFICIENTS`
-    parts : one function per coefficient, from a motion of n intervals to values (n,)
     trials : size of the family that the function is selected from
-    form : "step" or "hinge" at a threshold, which are searched separately; else ""
     reaches : classes of targets, see `Action.reaches`, except those for which the library has the effect
     shape, steps : shape parameters that may be refined, and the first step of a search over each
     with_shape : returns the function with other shape parameters
@@ -50,9 +55,7 @@ class BasisFunction:
 
     regressor: str
     text: str
-    parts: tuple[Of, ...]
     trials: int = 1
-    form: str = ""
     reaches: tuple[str, ...] = ("body",)
     shape: tuple[float, ...] = ()
     steps: tuple[float, ...] = ()
@@ -60,6 +63,16 @@ class BasisFunction:
     related: tuple[BasisFunction, ...] = field(default=(), compare=False)
     within: Callable[[Array, Array], BasisFunction] | None = field(default=None, compare=False)
     place: str = field(default="", compare=False)
+
+    @property
+    def width(self) -> int:
+        """Number of coefficients."""
+        return 1 + (f"{COEFFICIENTS[1]} *" in self.text)
+
+    def parts(self, motion: Motion) -> list[Array]:
+        """Return the values (n,) of the function of each coefficient on a motion of n intervals."""
+        own = COEFFICIENTS[: self.width]
+        return [evaluated(self.text, motion, **{name: float(name == one) for name in own}) for one in own]
 
 
 def _searched(make: Callable[[float], BasisFunction], at: float, step: float) -> BasisFunction:
@@ -116,19 +129,10 @@ def wave_of_heading(times: int, arcs: Sequence[_Arc] = ()) -> BasisFunction:
     return BasisFunction(
         "heading",
         text,
-        (_part(np.cos, times, arcs), _part(np.sin, times, arcs)),
         2,
         within=lambda theta, moved: wave_of_heading(times, _driven(theta, moved, _BRIDGED * 360.0 / times)),
         place=f"known from {' and '.join(arc.words for arc in arcs)} deg only" if arcs else "",
     )
-
-
-def _part(function: Callable[[Array], Array], times: int, arcs: Sequence[_Arc]) -> Of:
-    def value(m: Motion) -> Array:
-        wave = function(times * m.theta)
-        return wave * np.any([np.cos(m.theta - arc.middle) > arc.least for arc in arcs], axis=0) if arcs else wave
-
-    return value
 
 
 def _driven(theta: Array, moved: Array, bridged_deg: float) -> list[_Arc]:
@@ -150,15 +154,15 @@ def _driven(theta: Array, moved: Array, bridged_deg: float) -> list[_Arc]:
 
 
 # Of the motion: proportional, step, hinge, saturation, in one direction only, or at rest only.
-VALUES: dict[str, tuple[str, Of]] = {
-    "speed": ("abs(v)", lambda m: np.abs(m.v)),
-    "yaw_rate": ("abs(omega)", lambda m: np.abs(m.omega)),
-    "acceleration": ("a * sign(v)", lambda m: m.a * np.sign(m.v)),
-    "lateral_acceleration": ("abs(v * omega)", lambda m: np.abs(m.v * m.omega)),
-    "yaw_acceleration": ("alpha * sign(omega)", lambda m: m.alpha * np.sign(m.omega)),
-    "time": ("t", lambda m: m.t_s),
-    "distance": ("distance", lambda m: m.distance),
-    "sideways_speed": ("abs(vy)", lambda m: np.abs(m.vy)),
+VALUES = {
+    "speed": "abs(v)",
+    "yaw_rate": "abs(omega)",
+    "acceleration": "a * sign(v)",
+    "lateral_acceleration": "abs(v * omega)",
+    "yaw_acceleration": "alpha * sign(omega)",
+    "time": "t",
+    "distance": "distance",
+    "sideways_speed": "abs(vy)",
 }
 _SIDEWAYS = "sideways_speed"
 """Regressor of robots that drive sideways; no other robot has it."""
@@ -185,22 +189,22 @@ _CUTS, _TAIL = np.linspace(0.05, 0.95, 19), 0.05 * 2.0 ** (-0.5 * np.arange(1.0,
 
 def functions_of_motion(motions: Sequence[Motion], *, sideways: bool = False) -> Iterator[BasisFunction]:
     """Yield every function of the motion to be tried on these motions; see `basis_functions`."""
-    for regressor, (text, value) in VALUES.items():
+    for regressor, text in VALUES.items():
         if regressor == _SIDEWAYS and not sideways:
             continue
-        yield BasisFunction(regressor, f"k * {text}", (value,), reaches=_reaches(regressor, "one"))
+        yield BasisFunction(regressor, f"k * {text}", reaches=_reaches(regressor, "one"))
         if regressor not in ("distance", "time"):  # nearly the same; steps over time are in `time`
             yield from thresholds(regressor, motions)
         if regressor in _HINGED:
             yield from _hinges(regressor, motions)
     yield from _either_signs(motions)
     yield from _saturations(motions)
-    for regressor, text, value, reaches, trials in _singles(motions, sideways=sideways):
-        yield BasisFunction(regressor, text, (value,), trials, reaches=reaches)
+    for regressor, text, reaches, trials in _singles(motions, sideways=sideways):
+        yield BasisFunction(regressor, text, trials, reaches=reaches)
 
 
-_Single: TypeAlias = "tuple[str, str, Of, tuple[str, ...], int]"
-"""Regressor, text, function, targets and size of the family of a function without shape."""
+_Single: TypeAlias = "tuple[str, str, tuple[str, ...], int]"
+"""Regressor, text, targets and size of the family of a function without shape."""
 
 
 def _singles(motions: Sequence[Motion], *, sideways: bool) -> Iterator[_Single]:
@@ -208,31 +212,30 @@ def _singles(motions: Sequence[Motion], *, sideways: bool) -> Iterator[_Single]:
 
     Reverse is tested only if the robot drove in reverse: a wheel also runs backwards in turns on the spot.
     """
-    speed, yaw_rate = VALUES["speed"], VALUES["yaw_rate"]
-    either = ("max(abs(v), abs(omega))", lambda m: np.maximum(np.abs(m.v), np.abs(m.omega)))
-    ways: list[tuple[str, str, Of]] = [("yaw_rate", "omega", lambda m: m.omega), ("speed", "v", lambda m: m.v)]
+    ways = [("yaw_rate", "omega"), ("speed", "v")]
     # g-sensitive gyro
-    yield "acceleration", "k * a", lambda m: m.a, ("bias",), 1
+    yield "acceleration", "k * a", ("bias",), 1
     # gains of turns that change sign with the direction of travel, and of travel with that of turns, proportional to
     # the centripetal acceleration: an off-centre load, or a wheel that scrubs on one side
-    yield "speed", "k * v", lambda m: m.v, ("turning",), 1
-    yield "yaw_rate", "k * omega", lambda m: m.omega, ("travel",), 1
+    yield "speed", "k * v", ("turning",), 1
+    yield "yaw_rate", "k * omega", ("travel",), 1
     if sideways:
-        ways.append((_SIDEWAYS, "vy", lambda m: m.vy))
-        yield _SIDEWAYS, "k * vy", lambda m: m.vy, ("turning",), 1
-        yield "yaw_rate", "k * abs(omega)", lambda m: np.abs(m.omega), ("sideways",), 1
-        yield _SIDEWAYS, "k", lambda m: np.ones(len(m)), ("sideways gain",), 1
+        ways.append((_SIDEWAYS, "vy"))
+        yield _SIDEWAYS, "k * vy", ("turning",), 1
+        yield "yaw_rate", "k * abs(omega)", ("sideways",), 1
+        yield _SIDEWAYS, "k", ("sideways gain",), 1
     # in one direction only
-    for regressor, name, value in ways:
-        if name == "omega" or np.concatenate([value(m) < -STILL for m in motions]).mean() > _least_part(motions):
-            text = f"k * where({name} < {-STILL:.4g}, 1, 0)"
-            yield regressor, text, _below(value, -STILL), _reaches(regressor, "one", "both"), 1
+    for regressor, name in ways:
+        if name == "omega" or np.concatenate([evaluated(name, m) < -STILL for m in motions]).mean() > _least_part(
+            motions
+        ):
+            yield regressor, f"k * where({name} < {-STILL:.4g}, 1, 0)", _reaches(regressor, "one", "both"), 1
     # of one wheel that scrubs in turns to one side
-    yield "yaw_rate", "k * max(omega, 0)", lambda m: np.maximum(m.omega, 0.0), ("one",), 2
-    yield "yaw_rate", "k * max(-omega, 0)", lambda m: np.maximum(-m.omega, 0.0), ("one",), 2
+    yield "yaw_rate", "k * max(omega, 0)", ("one",), 2
+    yield "yaw_rate", "k * max(-omega, 0)", ("one",), 2
     # only while the robot is at rest, does not drive, or does not turn
-    for regressor, (name, value) in (("speed", speed), ("yaw_rate", yaw_rate), ("speed", either)):
-        yield regressor, f"k * where({name} < {STILL:.4g}, 1, 0)", _below(value, STILL), ("bias",), 1
+    for regressor, name in (("speed", "abs(v)"), ("yaw_rate", "abs(omega)"), ("speed", "max(abs(v), abs(omega))")):
+        yield regressor, f"k * where({name} < {STILL:.4g}, 1, 0)", ("bias",), 1
 
 
 def _reaches(regressor: str, *wheels: str) -> tuple[str, ...]:
@@ -278,17 +281,17 @@ def _either_signs(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
 
 def _either_sign(trials: int, at: float) -> BasisFunction:
     cut = max(at, _LEAST["acceleration"])
-    parts = (_above(lambda m: np.abs(m.a), cut),)
     text = f"k * where(abs(a) > {cut:.4g}, 1, 0)"
-    return BasisFunction("acceleration", text, parts, trials * REFINING, "step", ("one",))
+    return BasisFunction("acceleration", text, trials * REFINING, ("one",))
 
 
 def _cuts(regressor: str, motions: Sequence[Motion]) -> Array:
     """Return quantiles of a regressor while the robot moved; for a speed also the limit of rest."""
-    value = VALUES[regressor][1]
+    text = VALUES[regressor]
     of_speed = regressor in _SPEEDS
-    moves = [(np.abs(m.v) > STILL) | (np.abs(m.omega) > STILL) | (of_speed & (value(m) > STILL)) for m in motions]
-    seen = np.concatenate([value(m)[moving] for m, moving in zip(motions, moves, strict=True)])
+    values = [evaluated(text, m) for m in motions]
+    rates = [(np.abs(m.v), np.abs(m.omega), of_speed * own) for m, own in zip(motions, values, strict=True)]
+    seen = np.concatenate([own[np.max(rate, axis=0) > STILL] for own, rate in zip(values, rates, strict=True)])
     least_s = _LEAST_S if of_speed else _LEAST_SLIP_S
     rare = _TAIL[_least_part(motions, least_s) < _TAIL] if regressor != "time" else _TAIL[:0]
     levels = np.concatenate((rare if regressor in _SIGNED else rare[:0], _CUTS, 1.0 - rare))
@@ -299,13 +302,11 @@ def _cuts(regressor: str, motions: Sequence[Motion]) -> Array:
 def _threshold(
     regressor: str, trials: int, within: tuple[float, float], side: Literal["<", ">"], at: float
 ) -> BasisFunction:
-    text, value = VALUES[regressor]
     least = _LEAST.get(regressor, 0.0)
     cut = float(np.clip(at, *within))
     cut = cut if abs(cut) >= least else float(np.copysign(least, at))
-    parts = ((_above if side == ">" else _below)(value, cut),)
-    text = f"k * where({text} {side} {cut:.4g}, 1, 0)"
-    return BasisFunction(regressor, text, parts, trials * REFINING, "step", _reaches(regressor, "one", "both"))
+    text = f"k * where({VALUES[regressor]} {side} {cut:.4g}, 1, 0)"
+    return BasisFunction(regressor, text, trials * REFINING, _reaches(regressor, "one", "both"))
 
 
 def _hinges(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction]:
@@ -328,7 +329,7 @@ def _latest(regressor: str, motions: Sequence[Motion], sign: float = 1.0) -> flo
     """
     if regressor not in _SPEEDS:
         return float("inf")
-    seen = np.concatenate([sign * VALUES[regressor][1](m) for m in motions])
+    seen = np.concatenate([sign * evaluated(VALUES[regressor], m) for m in motions])
     return _WITHIN * max(float(np.quantile(seen, 1.0 - _least_part(motions))), 0.0) if len(seen) else 0.0
 
 
@@ -338,11 +339,9 @@ def _least_part(motions: Sequence[Motion], least_s: float = _LEAST_S) -> float:
 
 
 def _hinge(regressor: str, trials: int, sign: float, most: float, at: float) -> BasisFunction:
-    text, value = VALUES[regressor]
     cut = min(max(at, 0.0), most)
-    parts = (lambda m: np.maximum(sign * value(m) - cut, 0.0),)
-    text = f"k * max({text if sign > 0.0 else f'-{text}'} - {cut:.4g}, 0)"
-    return BasisFunction(regressor, text, parts, trials * REFINING, "hinge", _reaches(regressor, "one", "both"))
+    text = f"k * max({'' if sign > 0.0 else '-'}{VALUES[regressor]} - {cut:.4g}, 0)"
+    return BasisFunction(regressor, text, trials * REFINING, _reaches(regressor, "one", "both"))
 
 
 def _saturations(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
@@ -355,17 +354,8 @@ def _saturations(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
 
 def _saturation(trials: int, most: float, at: float) -> BasisFunction:
     cut = min(max(at, 0.0), most)
-    parts = (lambda m: np.sign(m.omega) * np.maximum(np.abs(m.omega) - cut, 0.0),)
     text = f"k * sign(omega) * max(abs(omega) - {cut:.4g}, 0)"
-    return BasisFunction("yaw_rate", text, parts, trials * REFINING, reaches=("bias",))
-
-
-def _above(value: Of, cut: float) -> Of:
-    return lambda m: (value(m) > cut).astype(np.float64)
-
-
-def _below(value: Of, cut: float) -> Of:
-    return lambda m: (value(m) < cut).astype(np.float64)
+    return BasisFunction("yaw_rate", text, trials * REFINING, reaches=("bias",))
 
 
 # Of the place: discs, rectangles and strips of floor, and iron that deflects a compass.
@@ -395,7 +385,6 @@ def _disc(shape: tuple[float, ...]) -> BasisFunction:
     return BasisFunction(
         "position",
         f"k * where(hypot(x {_less(x)}, y {_less(y)}) < {radius:.4g}, 1, 0)",
-        (lambda m: (np.hypot(m.x - x, m.y - y) < radius).astype(np.float64),),
         2 * _PLACES**2 * len(_RADII_M) * REFINING**3,
         reaches=("floor", "ground", "bias"),
         shape=shape,
@@ -409,17 +398,11 @@ def _disc(shape: tuple[float, ...]) -> BasisFunction:
 def _iron(shape: tuple[float, ...]) -> BasisFunction:
     """Return the yaw error per travel of a compass near iron, with a deflection that is bell-shaped in the distance."""
     x, y, reach = shape[0], shape[1], max(shape[2], 0.1)
-
-    def nearing(m: Motion) -> Array:
-        ahead = (x - m.x) * np.cos(m.theta) + (y - m.y) * np.sin(m.theta)
-        return ahead * np.exp(-((m.x - x) ** 2 + (m.y - y) ** 2) / (2.0 * reach**2))
-
     right, up = f"(x {_less(x)})", f"(y {_less(y)})"
     bell = f"exp(-({right}**2 + {up}**2) / {2.0 * reach**2:.4g})"
     return BasisFunction(
         "position",
         f"k * -({right} * cos(theta) + {up} * sin(theta)) * {bell}",
-        (nearing,),
         2 * _PLACES**2 * len(_RADII_M) * REFINING**3,
         reaches=("heading",),
         shape=(x, y, reach),
@@ -450,7 +433,6 @@ def _strip(shape: tuple[float, ...]) -> BasisFunction:
     return BasisFunction(
         "position",
         f"k * where(abs({_ahead(axis, x, y)}) < {half:.4g}, 1, 0)",
-        (_band(axis, x, y, half),),
         2 * _STRIPS * _MOST_STRIPS * len(_HALF_WIDTHS_M) * REFINING**3,
         reaches=("floor", "both", "ground"),
         shape=(angle, x, y, half),
@@ -470,7 +452,6 @@ def _box(shape: tuple[float, ...]) -> BasisFunction:
         "position",
         f"k * where(abs({_ahead(along, x, y)}) < {half:.4g}, 1, 0)"
         f" * where(abs({_ahead(across, x, y)}) < {side:.4g}, 1, 0)",
-        (lambda m: _band(along, x, y, half)(m) * _band(across, x, y, side)(m),),
         2 * _PLACES**2 * len(_RADII_M) * len(_BOX_ANGLES) * REFINING**5,
         reaches=("floor", "both", "ground", "bias"),
         shape=(angle, x, y, half, side),
@@ -514,11 +495,6 @@ def spread(values: Array, outer: tuple[float, float], count: int) -> Array:
     return np.linspace(float(low), float(high), count)
 
 
-def _band(axis: tuple[float, float], x: float, y: float, half: float) -> Of:
-    c, s = axis
-    return lambda m: (np.abs(c * (m.x - x) + s * (m.y - y)) < half).astype(np.float64)
-
-
 # Of time: exponential settling; of one drive also steps, and spells between two moments.
 _SETTLE_S = (30.0, 80.0, 200.0)  # settling times on the grid, s
 _QUICKEST_S, _SLOWEST_S = 10.0, 1e4
@@ -550,7 +526,6 @@ def _settling(rising: bool, log_tau: float) -> BasisFunction:  # noqa: FBT001 - 
     return BasisFunction(
         "time",
         f"k * (1 - exp(-t / {tau_s:.4g}))" if rising else f"k * exp(-t / {tau_s:.4g})",
-        (lambda m: float(rising) + (-1.0 if rising else 1.0) * np.exp(-m.t_s / tau_s),),
         2 * len(_SETTLE_S) * REFINING,
         reaches=(*_ANYWHERE, "bias"),
     )
@@ -561,7 +536,6 @@ def _spell(shape: tuple[float, ...], step_s: float) -> BasisFunction:
     return BasisFunction(
         "time",
         f"k * where(abs(t - {middle_s:.6g}) < {half_s:.6g}, 1, 0)",
-        (lambda m: (np.abs(m.t_s - middle_s) < half_s).astype(np.float64),),
         len(_SPELL_PARTS) * _SPELLS * REFINING**2,
         reaches=(*_ANYWHERE, "bias"),
         shape=(middle_s, half_s),

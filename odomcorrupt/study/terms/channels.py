@@ -9,21 +9,15 @@ import numpy as np
 
 from odomcorrupt.effects.expression import CHANNELS, SIDES
 from odomcorrupt.effects.wheels import wheel_motions
+from odomcorrupt.study.terms.basis import evaluated
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Motion
     from odomcorrupt.geometry.se2 import Array
 
-MOVES: dict[str, Callable[[Motion], Array]] = {
-    "v": lambda m: m.v,
-    "abs(v)": lambda m: np.abs(m.v),
-    "omega": lambda m: m.omega,
-    "1": lambda m: np.ones(len(m)),
-    "vy": lambda m: m.vy,
-    "abs(vy)": lambda m: np.abs(m.vy),
-}
+MOVES = ("v", "abs(v)", "omega", "1", "vy", "abs(vy)")
 """Factors of motion that multiply an error; 1 for an error that grows with time."""
 _SIDEWAYS = ("vy", "abs(vy)")
 """Factors of a robot that drives sideways."""
@@ -41,7 +35,7 @@ class Action:
     """Target of a basis function, and the motion by which the function is multiplied.
 
     target : a channel or side of expressions; or "ground": along and across at once; or "twist": along and yaw at once
-    move : key of `MOVES`
+    move : one of `MOVES`
     heading : source of the odometry's heading, "wheels" or "gyro"; with a gyro, errors of wheels do not turn it
     toward : direction in the world, rad, of the displacement for the target "ground"
     """
@@ -114,7 +108,7 @@ class Action:
         if self.target == _TWIST:
             still = np.zeros(len(seen[_BODY]))
             return [(_BODY, -np.stack((seen[_BODY].v, still, seen[_BODY].omega), axis=1))]
-        return [(view, MOVES[self.move](seen[view])[:, None] * unit) for view, unit in self._units(seen, track_m)]
+        return [(view, evaluated(self.move, seen[view])[:, None] * unit) for view, unit in self._units(seen, track_m)]
 
     def _units(self, seen: View, track_m: float | None) -> list[tuple[str, Array]]:
         if self.target == _GROUND:

@@ -4,8 +4,7 @@ A term has design-matrix columns at a working point of its shape, shape paramete
 the family that it was selected from, which determines its penalty. Once included, it becomes an effect of the model.
 Library effects and basis functions of one regressor are both terms, with the same attributes: `start`, the effect with
 coefficients at their identity; `width` and `charged`, the numbers of coefficients and of numbers that the penalty
-counts; `trials`, the size of the family; `unusual`, for a rare kind of robot, whose wheels do not turn its heading;
-`several_maxima`, if the likelihood over the shape is likely to have several.
+counts; `trials`, the size of the family; `unusual`, for a rare kind of robot, whose wheels do not turn its heading.
 """
 
 from __future__ import annotations
@@ -24,10 +23,11 @@ from odomcorrupt.effects.expression import UserEffect, user_effect
 from odomcorrupt.effects.wheels import brings_track
 from odomcorrupt.rng import stream
 from odomcorrupt.study.estimate.drive_type import GAINS_OF_TURNS, drive_type_of, mountings
+from odomcorrupt.study.estimate.problem import by_column
 from odomcorrupt.study.estimate.regressors import drives_sideways
 from odomcorrupt.study.io.recording import shared_frame
-from odomcorrupt.study.terms.basis import COEFFICIENTS, VALUES, BasisFunction
-from odomcorrupt.study.terms.channels import MOVES, Action, every_action, views
+from odomcorrupt.study.terms.basis import COEFFICIENTS, VALUES, BasisFunction, evaluated
+from odomcorrupt.study.terms.channels import Action, every_action, views
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Sequence
@@ -48,8 +48,6 @@ _LEAST_OPTIONAL = 0.1
 """Least value of an optional shape parameter in a search, as a fraction of its typical size."""
 _NEARLY = 0.97
 """Squared correlation with a constant from which a function is one."""
-_SEVERAL_MAXIMA = 3
-"""Number of shape parameters from which on (a place) a basis function is likely to have several maxima."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,6 @@ class LibraryTerm:
     trials: int = 1
 
     unusual = False
-    several_maxima = True
 
     @classmethod
     def family(cls, kind: type[Effect], motions: Sequence[Motion]) -> tuple[LibraryTerm, ...]:
@@ -155,7 +152,7 @@ class BasisTerm:
     @property
     def width(self) -> int:
         """Number of coefficients."""
-        return len(self.function.parts)
+        return self.function.width
 
     @property
     def charged(self) -> int:
@@ -171,11 +168,6 @@ class BasisTerm:
     def unusual(self) -> bool:
         """Whether the term assumes a heading that the wheels do not turn."""
         return self.action.heading == "gyro"
-
-    @property
-    def several_maxima(self) -> bool:
-        """Whether the term has as many shape parameters as a place."""
-        return len(self.shape) >= _SEVERAL_MAXIMA
 
     @property
     def shape(self) -> Array:
@@ -201,26 +193,26 @@ class BasisTerm:
         if self.function.within is None:
             return self
         theta = np.concatenate([m.theta for m in motions])
-        moved = np.concatenate([np.abs(MOVES[self.action.move](m)) * m.dt_s for m in motions])
+        moved = np.concatenate([np.abs(evaluated(self.action.move, m)) * m.dt_s for m in motions])
         return replace(self, function=self.function.within(theta, moved))
 
     def is_global(self, motions: Sequence[Motion]) -> bool:
         """Return whether the function is one constant nearly wherever the robot moved: the term of a global effect."""
         if self.width > 1 or self.function.text == COEFFICIENTS[0]:
             return False
-        value = np.concatenate([self.function.parts[0](m) for m in motions])
-        weight = np.concatenate([MOVES[self.action.move](m) ** 2 * m.dt_s for m in motions])
+        value = np.concatenate([self.function.parts(m)[0] for m in motions])
+        weight = np.concatenate([evaluated(self.action.move, m) ** 2 * m.dt_s for m in motions])
         return bool((weight @ value) ** 2 > _NEARLY * weight.sum() * (weight @ value**2))
 
     def columns(self, problem: Problem) -> Array:
         """Return columns (K, 3, p), one for each coefficient."""
-        errors: list[list[Array]] = [[] for _ in self.function.parts]
+        errors = []
         for motion in problem.motions:
             seen = views(motion) if self.action.by_wheel else {"body": motion}
             rates = self.action.rates(seen, motion.track_m)
-            for error, part in zip(errors, self.function.parts, strict=True):
-                error.append(np.asarray(sum((part(seen[v]) * motion.dt_s)[:, None] * rate for v, rate in rates)))
-        return np.stack([problem.intervals.column(np.concatenate(error)) for error in errors]).transpose(1, 2, 0)
+            parts = (np.array(self.function.parts(seen[view]))[:, :, None] * rate for view, rate in rates)
+            errors.append(sum(parts) * motion.dt_s[:, None])
+        return by_column(np.stack([problem.intervals.column(own) for own in np.concatenate(errors, axis=1)]))
 
     def effect(self, coefficients: Sequence[float]) -> UserEffect:
         """Return the expression as an effect with these coefficients."""
