@@ -63,7 +63,6 @@ SAME = 0.005
 ENOUGH = 3
 """Number of changed rows after which a rule or number is known to be worth something, and is not priced further."""
 RULES = {
-    "study.estimate.clocks:_harmless": "True",
     "study.estimate.clocks:_of_stamps": "False",
     "study.estimate.correlation_length:with_correlation_lengths": "list(recordings)",
     "study.estimate.truth_bias:with_bias_walks": "list(recordings)",

@@ -1,6 +1,5 @@
 """Advice: drives that resolve what the first one leaves open, and its words."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +10,6 @@ from odomcorrupt.bags.messages import write_twists
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.geometry.se2 import Increments, accumulate
-from odomcorrupt.geometry.trajectory import Trajectory
 from odomcorrupt.report.findings import advice_sentences
 from odomcorrupt.simulation import Commands, read_commands, simulate
 from odomcorrupt.study.design.advise import advise, open_ambiguities, untried
@@ -158,49 +156,6 @@ def test_the_most_useful_drive_answers_most_questions_the_second_ones_on_the_way
     assert most_useful_of(short, telling(squares=1.0)) == ("squares", 180.0)
     assert most_useful_of(beside=[short, weak]) == ("squares", 180.0)
     assert most_useful_of(beside=[weak, weak]) == ("squares", 600.0)
-
-
-def on_the_way(recording, edge_s=5.0):
-    """Return the recording without how it began and ended."""
-    first_s, last_s = recording.odometry_s[[0, -1]] + (edge_s, -edge_s)
-
-    def within(trajectory):
-        t_s = trajectory.seconds_since(recording.origin_ns)
-        kept = (first_s < t_s) & (t_s < last_s)
-        return Trajectory(trajectory.stamps_ns[kept], trajectory.xyt[kept])
-
-    odometry = within(recording.odometry)
-    return replace(recording, odometry=odometry, truth=within(recording.truth), origin_ns=int(odometry.stamps_ns[0]))
-
-
-@pytest.mark.slow
-def test_a_clock_that_was_not_put_to_the_test_is_reported():
-    route = steady(0.5, 0.0, 120.0)
-    run = as_recording(simulate(3, None, route=route, duration_s=route.duration_s))
-    calm = advise(learn([on_the_way(run)]))
-    (clock,) = (one for one in calm.untestable if one.effect == "time_offset")
-    assert clock.plan is not None
-    mixed = advise(learn([as_recording(simulate(3, None, duration_s=120.0))]))
-    assert "time_offset" not in {one.effect for one in mixed.untestable}
-
-
-@pytest.mark.slow
-def test_slip_that_a_late_clock_would_explain_as_well_is_a_choice_and_the_drive_settles_it():
-    hold = round(5.0 / STEP_S), round(2.0 / STEP_S)
-    v = np.tile(np.repeat((0.5, 0.0), hold), 20)
-    route = Commands(np.arange(len(v)) * STEP_S, v, np.zeros(len(v)))
-    options = {"robot_seed": 3, "parameters": {"k": 0.05}}
-    before = as_recording(simulate(3, "accel_slip", route=route, duration_s=route.duration_s, **options))
-    open_ = learn([before])
-    advice = advise(open_)
-    (choice,) = (c for c in advice.choices if set(c.names) == {"accel_slip", "time_offset"})
-    assert choice.plan is not None
-    times_s = np.arange(len(advice.best.v_mps)) * STEP_S
-    following = Commands(times_s, advice.best.v_mps, advice.best.omega_radps)
-    after = as_recording(simulate(4, "accel_slip", route=following, duration_s=following.duration_s, **options))
-    settled = learn([before, after])
-    assert settled.added == ("accel_slip",)
-    assert not [c for c in advise(settled).choices if "time_offset" in c.names]
 
 
 def learned(*effects, track_m=None):

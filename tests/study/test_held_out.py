@@ -501,13 +501,6 @@ def test_a_refused_set_is_not_offered_again(columns):
     assert len(search.best) <= max(len(refused) // 2, 1)
 
 
-@pytest.mark.parametrize(("share", "copied"), [(0.999, True), (0.9, False)])
-def test_a_threshold_beyond_nearly_all_data_is_a_copy_of_the_plain_term(columns, share, copied):
-    columns[:, -1] = columns[:, 0] * (np.arange(ROWS) < share * ROWS)
-    evidence, _ = evidence_of(columns, columns[:, 0])
-    assert evidence.copies(np.arange(TERMS) < 2).tolist() == [False] * (TERMS - 1) + [copied]
-
-
 def test_a_search_adds_few_terms_and_counts_their_prior(columns):
     y = 0.2 * columns[:, :6].sum(axis=1) + np.random.default_rng(8).standard_normal(ROWS)
     evidence, _ = evidence_of(columns, y)

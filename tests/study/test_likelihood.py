@@ -28,12 +28,11 @@ from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood, Varianc
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.random_process import knots_of, widened
 from odomcorrupt.study.estimate.whitener import whitener
-from odomcorrupt.study.estimate.windows import distance_windows, position_windows
+from odomcorrupt.study.estimate.windows import position_windows
 from odomcorrupt.study.io.headings import with_headings
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.random_effects import random_coefficients
 from odomcorrupt.study.select.selection import learn
-from odomcorrupt.study.validate.evaluation import process_roots, random_covariance
 
 
 def short_problem(seed: int = 0):
@@ -353,28 +352,6 @@ def test_a_bias_that_hardly_walks_in_one_half_by_chance_is_found(seed):
     assert found.name == "gyro_bias_walk"
     assert {(other.name, other.channel) for other in others} <= {("gauss_markov", "wheels")}  # the same, but for rests
     assert found.density == pytest.approx(6e-4, rel=0.25)
-
-
-@pytest.mark.parametrize(
-    ("name", "values"),
-    [
-        ("gauss_markov", {"sigma": 0.02, "tau": 30.0, "channel": "along"}),
-        ("gauss_markov", {"sigma": 0.02, "tau": 30.0, "channel": "wheels"}),
-        ("gyro_bias_walk", {"density": 1e-3, "tau": 40.0}),
-    ],
-)
-def test_what_windows_share_has_the_covariance_of_each_of_them(name, values):
-    recording = as_recording(simulate(93, None, duration_s=180.0))
-    problem = pose_problem([recording], approach=choose_approach([recording]))
-    windows, motion = distance_windows(problem.left[0], 2.0), problem.motions[0]
-    effect = effect_from_values(name, values)
-    root, own = process_roots([effect], windows, motion), random_covariance([effect], windows, motion)
-    shared = np.einsum("kim,kjm->kij", root, root)
-    there = np.einsum("kii->ki", own) > 1e-8
-    ratio = np.einsum("kii->ki", shared)[there] / np.einsum("kii->ki", own)[there]
-    # a process between its knots varies less; forth and back over one of them it cancels
-    assert np.quantile(ratio, 0.1) > 0.9
-    assert np.quantile(ratio, 0.9) < 1.1
 
 
 def _learned(seed, cause, parameters, yaw_from):

@@ -76,13 +76,6 @@ def hidden_from_the_truth(run, begin_s=99.0, end_s=104.0):
     return replace(run, truth=Trajectory(run.truth.stamps_ns[seen], run.truth.xyt[seen]))
 
 
-def test_a_push_while_the_truth_saw_nothing_is_reported_by_the_gap():
-    (event,) = events_of(hidden_from_the_truth(pushed(3, yaw_deg=16.0)))
-    assert 98.0 < event.start_s < 99.1
-    assert 103.9 < event.end_s < 105.0
-    assert np.degrees(event.yaw_rad) == pytest.approx(-16.0, abs=3.0)
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_and_a_gap_of_the_truth_by_itself_hold_no_event(seed):
     run = pushed(seed)
@@ -97,14 +90,6 @@ def test_a_push_is_one_event_and_no_evidence_for_noise():
     assert own.any()
     assert slip_bursts(fitted) is None
     assert heavy_tails(fitted) is None
-
-
-def test_what_a_gap_hides_and_what_is_seen_beside_it_are_one_event():
-    run = hidden_from_the_truth(pushed(3, yaw_deg=40.0, lasts_s=3.0), 101.0, 104.0)
-    (event,) = events_of(run)
-    assert event.start_s < 101.0
-    assert event.end_s >= 104.0
-    assert np.degrees(event.yaw_rad) == pytest.approx(-40.0, abs=4.0)
 
 
 GROUND = Coefficients(0.01, 0.005, 0.005, 0.005)

@@ -17,7 +17,7 @@ from odomcorrupt.model.noise_laws import LAWS
 from odomcorrupt.model.presets import preset_named
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot, model_of
-from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
+from odomcorrupt.study.estimate.clocks import Clocks
 from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.intervals import Intervals
@@ -314,14 +314,3 @@ def test_an_effect_of_the_heading_in_the_world_is_taken_out_of_a_recording_whose
     model = MotionModel(preset_named("typical").noise, effects=(slope,))
     clocks = clocks_beside([recording], choose_approach([recording]), model)
     assert abs(clocks.clocks[0].offset_s) < 0.05
-
-
-def test_the_clock_of_a_laser_is_free_even_if_slip_pulls_it_to_where_it_increases_the_drift(monkeypatch):
-    monkeypatch.setattr("odomcorrupt.study.estimate.clocks._harmless", lambda *_: False)
-    recording = as_recording(simulate(93, "accel_slip", duration_s=120.0))
-    approach = choose_approach([recording])
-    assert find_clocks([recording], approach).free == ((False, False),)
-    covariance = np.broadcast_to(np.diag([4e-6, 4e-6, 1e-5]), (len(recording.truth), 3, 3))
-    seen = replace(recording, truth=replace(recording.truth, covariance=covariance), truth_scale_error=0.003)
-    found = find_clocks([seen], approach)
-    assert (found.free, found.clocks[0].offset_s) == (((True, False),), 0.0)

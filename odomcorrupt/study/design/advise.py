@@ -1,8 +1,4 @@
-"""Advice on the next drive: aliased names, undetermined clocks, untestable effects, and the drive that resolves them.
-
-Clocks are estimated first, together with effects that resemble them, and are therefore no candidates. The
-information of a drive on a clock is computed in the same terms. A clock belongs to one drive; the next has another.
-"""
+"""Advice on the next drive: aliased names, untestable effects, and the drive that resolves them."""
 
 from __future__ import annotations
 
@@ -15,8 +11,7 @@ from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.effects.wheels import brings_track
 from odomcorrupt.study.design.drives import ENOUGH_NATS, Drives, best_plan, missing_motion, most_useful
-from odomcorrupt.study.design.information import clock_errors, separation, sizes
-from odomcorrupt.study.estimate.clocks import RIVALS, clock_rivals
+from odomcorrupt.study.design.information import separation, sizes
 from odomcorrupt.study.estimate.drive_type import GAINS_OF_TURNS, readings_of
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.terms.basis import VALUES
@@ -324,50 +319,6 @@ def _as_fitted(candidate: Candidate) -> Effect:
     return candidate.fitted
 
 
-CLOCKS = ("time_offset", "clock_skew")
-"""In the order of a clock's parameters."""
-
-
-def undetermined_clocks(drives: Drives) -> list[UntestableEffect]:
-    """Return the clock parameters that were not tested and that no recording would determine at their typical size."""
-    own = drives.learned.fit.by_name
-    rivals = clock_rivals(drives.learned.fit.problem.recordings)
-    beside, found = [*own.values(), *(rival for rival in rivals if rival.name not in own)], []
-    for number, name in enumerate(CLOCKS):
-        kind = registry()[name]
-        typical = amplitudes(kind)[0].typical
-        now = float(clock_errors(beside, drives.with_clocks)[number])
-        if FOUND * now <= typical or any(free[number] for free in drives.learned.clocks.free):
-            continue
-
-        def shows(drive: Field, number: int = number, typical: float = typical) -> float:
-            return 0.5 * (typical / float(clock_errors(beside, drive, drives.recorded)[number])) ** 2
-
-        masks = [
-            e.name
-            for e in beside
-            if MASKED * float(clock_errors([o for o in beside if o is not e], drives.with_clocks)[number]) < now
-        ]
-        found.append(hidden(drives, kind, shows, "too little motion that shows it", masks))
-    return found
-
-
-def clock_ambiguities(drives: Drives, step: Step) -> list[Ambiguity]:
-    """Return the ambiguity between a constant clock offset and the effect of a step, if these data leave it open."""
-    learned = drives.learned
-    own = [e for e in learned.fit.effects if e.name == step.added and e.name in RIVALS]
-    if not own or any(free[0] for free in learned.clocks.free):
-        return []
-    beside, inflation = [e for e in learned.fit.effects if e is not own[0]], step.candidates[0].score.inflation
-    known = separation(own, (), beside, [drives.with_clocks]) / inflation
-
-    def gain(drive: Field) -> float:
-        return separation(own, (), beside, [drives.with_clocks, drive]) / inflation - known
-
-    open_yet = known < learned.decisions.alternative_nats
-    return [_ambiguity(drives, (own[0].name, CLOCKS[0]), gain)] if open_yet else []
-
-
 @dataclass(frozen=True, slots=True)
 class Advice:
     """Open questions after a selection; `best` is the plan that answers most of them, ambiguities first."""
@@ -383,12 +334,11 @@ def advise(learned: Learned) -> Advice:
     drives = Drives(learned)
     choices = dependence_ambiguities(drives)
     for step in learned.steps:
-        choices += [*open_ambiguities(drives, step), *clock_ambiguities(drives, step)]
+        choices += open_ambiguities(drives, step)
     last = learned.rounds[-1]
     named = {name for choice in choices for name in choice.names}
     refused = [c for c in last.candidates if is_untestable(c) and c.score.effect.name not in named]
     unseen = [untestable(drives, c) for c in refused]
-    unseen += [one for one in undetermined_clocks(drives) if one.effect not in named]
     gains = [choice.gain for choice in choices if choice.gain is not None]
     shown = [one.shows for one in unseen if one.shows is not None]
     unseen += untried(learned)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import pi
 from operator import itemgetter
 from typing import TYPE_CHECKING, TypeAlias
@@ -80,20 +80,14 @@ _SECONDARY_WEIGHT = 0.2
 
 @dataclass(slots=True)
 class Drives:
-    """Recorded and planned drives; plans are computed on first use.
-
-    with_clocks : the recorded drives with offsets and rates of all clocks free
-    """
+    """Recorded and planned drives; plans are computed on first use."""
 
     learned: Learned
     recorded: Field = field(init=False)
-    with_clocks: Field = field(init=False)
     _planned: dict[tuple[str, float], tuple[Plan, Field]] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         self.recorded = recorded_field(self.learned.fit)
-        clocks = self.recorded.whitener.whiten(self.recorded.problem.clock_columns())
-        self.with_clocks = replace(self.recorded, clocks=clocks)
 
     def planned(self, name: str, duration_s: float) -> tuple[Plan, Field]:
         """Return a manoeuvre planned within this robot's limits."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.design.plan import ideal_recording
@@ -28,9 +29,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.estimate.whitener import Whitener
-
-_MIN_NORM = 1e-4
-"""A column with a smaller relative norm after projection counts as undetermined."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +77,7 @@ def separation(
 ) -> float:
     """Return the expected log likelihood ratio, nats, in favour of effects with their present amplitudes if true.
 
-    other : effects of the alternative; none if it is the drives' clocks
+    other : effects of the alternative
     beside : effects that are free in both models
     """
     away = np.array([getattr(effect, p.name) - p.identity for effect in one for p in amplitudes(effect)])
@@ -98,44 +96,10 @@ def sizes(effect: Effect, beside: Sequence[Effect], fields: Sequence[Field]) -> 
     return np.sqrt(np.diag(np.linalg.inv(normal))) / scale
 
 
-def clock_errors(beside: Sequence[Effect], drive: Field, *others: Field) -> Array:
-    """Return the standard errors (2,) of the clock of a drive with free clocks: offset, s, and rate.
-
-    The offset's applies at the right rate. If the field has several runs, that of the best determined clock is taken.
-
-    beside : effects that are free, and also determined by the `others`
-    """
-    fields = [drive, *others]
-    known = [field.clocks * (field is not drive) for field in fields]
-    _, rest = _stacked((), beside, fields, known)
-    pairs = drive.clocks
-    signal = np.zeros((len(rest), pairs.shape[1]))
-    signal[: len(pairs)] = pairs
-    left = _without(rest, signal)
-    best = np.full(2, np.inf)
-    for run in range(pairs.shape[1] // 2):
-        offset, rate = left[:, 2 * run], left[:, 2 * run + 1]
-        apart = rate - offset * float(offset @ rate) / max(float(offset @ offset), 1e-300)
-        for number, (column, whole) in enumerate(((offset, pairs[:, 2 * run]), (apart, pairs[:, 2 * run + 1]))):
-            if np.linalg.norm(column) > _MIN_NORM * np.linalg.norm(whole):
-                best[number] = min(best[number], 1.0 / float(np.linalg.norm(column)))
-    return best
-
-
-def _stacked(
-    own: Sequence[Effect], beside: Sequence[Effect], fields: Sequence[Field], clocks: Sequence[Array] | None = None
-) -> tuple[Array, Array]:
+def _stacked(own: Sequence[Effect], beside: Sequence[Effect], fields: Sequence[Field]) -> tuple[Array, Array]:
     """Return columns of `own` and of all other parameters: drives stacked, clocks block-diagonal."""
-    clocks = [field.clocks for field in fields] if clocks is None else clocks
-    height = sum(len(c) for c in clocks)
-    apart = np.zeros((height, sum(c.shape[1] for c in clocks)))
-    row = column = 0
-    for block in clocks:
-        apart[row : row + block.shape[0], column : column + block.shape[1]] = block
-        row, column = row + block.shape[0], column + block.shape[1]
-    signal = np.concatenate([field.white(own) for field in fields])
-    shared = np.concatenate([field.white(beside) for field in fields])
-    return signal, np.concatenate((shared, apart), axis=1)
+    signal, shared = (np.concatenate([field.white(some) for field in fields]) for some in (own, beside))
+    return signal, np.concatenate((shared, block_diag(*(field.clocks for field in fields))), axis=1)
 
 
 def _without(rest: Array, signal: Array) -> Array:

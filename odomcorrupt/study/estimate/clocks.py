@@ -14,9 +14,9 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import FitError, RecordingError
 from odomcorrupt.study.estimate.drive_type import MOUNTING, mountings
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit, fit_problem, prior_deviations
-from odomcorrupt.study.estimate.problem import pose_problem, undo
-from odomcorrupt.study.estimate.windows import drift_of, ten_second_error
-from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders, coarse_clock
+from odomcorrupt.study.estimate.problem import pose_problem
+from odomcorrupt.study.estimate.windows import ten_second_error
+from odomcorrupt.study.io.clock import Clock, clock_leaders, coarse_clock
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 SETUP_LEVEL = 1e-4
 """Significance level of a part of the set-up: of a clock, a lever arm, or a mounting yaw."""
 _CLOCK_LIMIT = float(np.sqrt(chi2.isf(SETUP_LEVEL, 1)))
-_CLOCK_HARM = 1.15
-"""Ratio by which a clock may increase the 10 s error; a larger one rejects it, even if significant."""
 _PLAIN_LEVEL, _MOST_LEVEL = 3.0, 30.0
 """Ratio of two truths' noise that is more than an estimation error, and the largest ratio used."""
 _LEAST_M, _LEAST_RAD = 1e-3, 1e-3
@@ -44,17 +42,13 @@ _FEWEST_ALIKE = 3
 """Fewest clocks whose mean, if significant beside their scatter, is that of a recording that cannot tell its own."""
 _SCAN_CLOCK_S = 0.1
 """Expected offset between the stamps of scans and of odometry, seconds: 0.09 to 0.17 s on four real robots."""
-_KNOWN_S, _PULLED_S = 0.002, 0.02
-"""Standard error below which the offset of a scanner's clock is free in any case, and how far an effect that is not in
-the model yet can pull it: scans were aligned with the odometry before, and slip while speeding up is late travel."""
 
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
     """Clocks of R recordings, whether their offset and rate are significant, and their standard errors (R, 2).
 
-    The error of an offset includes the rounding of stamps. An offset that is not significant is zero; its error is 0 if
-    it increases the 10 s error.
+    The error of an offset includes the rounding of stamps. An offset that is not significant is zero.
 
     noise, beside : noise and nuisance effects of the last fit: starting values for later fits, not results
     margins_nats : log-likelihood gain of a clock over each effect beside which it is not significant
@@ -179,11 +173,9 @@ def _find_clock(runs: Sequence[Recording], approach: Approach, beside: Sequence[
         last, error = (clock.rate, errors[1]) if free[1] else (clock.offset_s, errors[0])
         clear = abs(last) > _CLOCK_LIMIT * error > 0.0
         expected = not free[1] and _of_stamps(runs, clock, errors[0])
-        if (clear and _harmless(runs, clock)) or ((clear or expected) and _harmless(runs, clock, nuisance)):
+        if clear or expected:
             return _Found(clock, free, errors, best)
-    if all(r.matched for r in runs) and errors[0] < _KNOWN_S and abs(clock.offset_s) < _PULLED_S:
-        return _Found(Clock(), free, errors, best)
-    return _Found(Clock(), (False, False), (0.0 if clear else errors[0], 0.0), best)
+    return _Found(Clock(), (False, False), (errors[0], 0.0), best)
 
 
 def _of_stamps(runs: Sequence[Recording], clock: Clock, error_s: float) -> bool:
@@ -196,15 +188,6 @@ def _of_stamps(runs: Sequence[Recording], clock: Clock, error_s: float) -> bool:
     if any(r.matched for r in runs):
         hidden_s = max(hidden_s, _SCAN_CLOCK_S)
     return 0.0 < error_s < hidden_s and abs(clock.offset_s) < np.sqrt(12.0) * hidden_s
-
-
-def _harmless(runs: Sequence[Recording], clock: Clock, effects: Sequence[Effect] = ()) -> bool:
-    """Return whether a clock does not increase the 10 s error: on a steady circle an offset only rotates the frame.
-
-    effects : removed from both; an error of turns and an offset may hide each other in a few windows
-    """
-    before, after = (drift_of([undo(aligned(run, c), effects) for run in runs]).rmse for c in (Clock(), clock))
-    return after < _CLOCK_HARM * before
 
 
 def mounting_of(recordings: Sequence[Recording], beside: Sequence[Effect] = ()) -> tuple[Effect, ...]:

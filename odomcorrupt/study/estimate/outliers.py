@@ -19,13 +19,10 @@ from scipy.stats import chi2, wilcoxon
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.effects.wheels import rims_of
-from odomcorrupt.geometry.se2 import between, compose, rotate, wrap
+from odomcorrupt.geometry.se2 import rotate
 from odomcorrupt.study.estimate.config import INTERVAL_S
 from odomcorrupt.study.estimate.noise_likelihood import ODD
-from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.whitener import interval_covariance
-from odomcorrupt.study.io.clock import aligned
-from odomcorrupt.study.io.headings import with_recomputed_headings
 from odomcorrupt.study.io.motion_windows import weighted_median
 
 if TYPE_CHECKING:
@@ -87,82 +84,18 @@ def events(fit: Fit) -> list[Event]:
 def single_events(fit: Fit) -> list[Event]:
     """Return single events that are not noise: a push, a lift, a bump; an empty list if there are too many.
 
-    The fit down-weights them by their size. A robot that is lifted is often hidden from the truth as well, so gaps of
-    the truth are included.
+    The fit down-weights them by their size.
     """
     flagged, run = _standing_out(fit), fit.problem.run
     parted = (np.diff(flagged) > _SAME_EVENT) | (np.diff(run[flagged]) != 0)
     groups = np.split(flagged, np.flatnonzero(parted) + 1) if len(flagged) else []
     # a push also contains intervals that are not flagged
     whole = [np.arange(group[0], group[-1] + 1) for group in groups]
-    found = [event for event in _described(fit, whole) if event.lasting]
-    apart_s = _SAME_EVENT * fit.problem.approach.spacing_s
-    found = [event for event in (*found, *_across_gaps(fit)) if event.plain > _PLAINLY_ODD]
+    found = [event for event in _described(fit, whole) if event.lasting and event.plain > _PLAINLY_ODD]
     if not any(recording.positioned for recording in fit.problem.recordings):
         found = [replace(event, along_m=0.0, across_m=0.0) for event in found]
     found.sort(key=lambda event: (event.recording, event.start_s))
-    joined: list[Event] = []
-    for event in found:
-        if joined and _near(joined[-1], event, apart_s):
-            joined[-1] = _joined(joined[-1], event)
-        else:
-            joined.append(event)
-    return joined if len(joined) <= _MOST_SINGLE else []
-
-
-def _near(one: Event, other: Event, apart_s: float) -> bool:
-    apart = max(one.start_s - other.end_s, other.start_s - one.end_s)
-    return one.recording == other.recording and apart < apart_s
-
-
-def _joined(first: Event, second: Event) -> Event:
-    """Return an event merged with the one that follows immediately, such as one across a gap of the truth."""
-    turned = np.asarray(first.turn_rad - first.yaw_rad)
-    along_m, across_m = rotate(np.array([second.along_m, second.across_m]), turned).tolist()
-    return replace(
-        first,
-        end_s=max(first.end_s, second.end_s),
-        along_m=first.along_m + along_m,
-        across_m=first.across_m + across_m,
-        yaw_rad=first.yaw_rad + second.yaw_rad,
-        turn_rad=first.turn_rad + second.turn_rad,
-        plain=max(first.plain, second.plain),
-    )
-
-
-def _across_gaps(fit: Fit) -> list[Event]:
-    """Return each gap of the truth as an event: difference of odometry and truth from one end to the other."""
-    problem, intervals, found, usual = fit.problem, fit.problem.intervals, [], usual_residual(fit)
-    for r, (recording, clock) in enumerate(zip(problem.recordings, problem.clocks, strict=True)):
-        own = np.flatnonzero(problem.run == r)
-        gaps = own[1:][~intervals.linked[own[1:]]]
-        if not len(gaps):
-            continue
-        left = with_recomputed_headings(undo(aligned(recording, clock), problem.effects))
-        begin, end = intervals.end_s[gaps - 1], intervals.start_s[gaps]
-        truth_xyt = compose(intervals.truth_xyt[gaps - 1], intervals.truth_step[gaps - 1])
-        true = between(truth_xyt, intervals.truth_xyt[gaps])
-        said = between(left.odometry.at(begin, left.origin_ns), left.odometry.at(end, left.origin_ns))
-        apart = np.column_stack((rotate(said[:, :2] - true[:, :2], -true[:, 2]), wrap(said[:, 2] - true[:, 2])))
-        # noise grows with the square root of time, and heading noise displaces the path since the gap began
-        spread = usual * np.sqrt(np.maximum((end - begin) / problem.approach.spacing_s, 1.0))[:, None]
-        spread[:, :2] += (spread[:, 2] * np.hypot(said[:, 0], said[:, 1]))[:, None]
-        plain = np.linalg.norm((apart / spread)[:, : 3 if problem.headings else 2], axis=1)
-        found += [
-            Event(
-                recording=recording.name,
-                start_s=float(begin[i]),
-                end_s=float(end[i]),
-                along_m=float(apart[i, 0]),
-                across_m=float(apart[i, 1]),
-                yaw_rad=float(apart[i, 2]),
-                turn_rad=float(said[i, 2]),
-                place_xy=(float(truth_xyt[i, 0]), float(truth_xyt[i, 1])),
-                plain=float(plain[i]),
-            )
-            for i in range(len(gaps))
-        ]
-    return found
+    return found if len(found) <= _MOST_SINGLE else []
 
 
 def odd_steps(fit: Fit) -> list[Event]:

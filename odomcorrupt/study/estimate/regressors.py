@@ -40,13 +40,13 @@ _SLOPE_NOISE = np.array([0.003, 0.003, 0.002])
 _JITTER_S = 0.2  # least time step for estimates of the odometry's noise, s
 _SIDEWAYS = 0.1
 """Least fraction of the travelled distance that a holonomic robot moves sideways."""
-_BIAS = 0.002  # relative bias of a gain above which the truth is used
-_LEAST_BIAS, _NOISE_RATIO = 2e-4, 3.0  # the same if the odometry has this many times the smoothed truth's noise
+_BIAS, _BLIND_BIAS = 2e-4, 0.002
+"""Relative bias of a gain above which the truth is used; the same beside positions alone."""
+_NOISE_RATIO, _ERRORS = 3.0, 3.0
+"""Least noise of the odometry in terms of the smoothed truth's, and in standard errors, so that it is the noisier."""
 _FEW = 50  # least number of samples in motion
 _CLIP = 5.0
 """Multiple of the median roughness above which a sample is a start or stop, and a difference of the sides a jump."""
-_SHARED, _ERRORS = 0.7, 3.0
-"""Roughness is noise of the odometry if the truth shares less than this fraction, by this many standard errors."""
 
 
 def drives_sideways(motions: Sequence[Motion]) -> bool:
@@ -253,32 +253,24 @@ def choose_side(recording: Recording, node_s: float) -> Side:
     """Return the side with the smaller bias by its own noise in a regression of gains; by default the odometry.
 
     Noise of variance q per second in a regressor of speed v biases a gain by q / (v^2 node_s). A bias below `_BIAS` is
-    negligible; above it the truth is used. The noise is estimated from second differences of increments over 0.2 s,
-    which cancel smooth driving and hardly contain ticks; clipping suppresses starts and stops. Roughness shared by the
-    truth is motion and not noise, such as speed oscillations of motors on a drive with hardly any turns.
-
-    If the odometry is significantly noisier than the smoothed truth, a tenth of that bias suffices: on straights, with
-    no other motion, a basis function would fit the noise.
+    negligible; above it the truth is used, if the odometry is significantly noisier than the smoothed truth. The noise
+    is estimated from second differences of increments over 0.2 s, which cancel smooth driving and hardly contain ticks.
     """
     t_s = recording.odometry_s
     grid = np.arange(t_s[0], t_s[-1], max(_JITTER_S, 2.0 * float(np.median(np.diff(t_s)))))
     step = _steps(recording.odometry, grid, recording.origin_ns)
     moving = np.hypot(step[:, 0], step[:, 1])[1:-1] > 1e-3
-    if moving.sum() < _FEW:
+    # motion interpolated between the sweeps of a laser is too smooth to show the odometry's noise
+    if recording.matched or moving.sum() < _FEW:
         return "odometry"
-    rough = np.diff(step, n=2, axis=0)[moving]
-    square = np.minimum(rough**2, 9.0 * np.median(rough**2, axis=0) + 1e-15)
     # the lower bound prevents 0 / 0 in a channel without motion, whose noise is zero too
     per_noise = (grid[1] - grid[0]) / node_s / np.maximum((step**2).mean(axis=0), 1e-30)
-    noisy = square.mean(axis=0) / 6.0 * per_noise > _BIAS
-    if (shared := _shared(recording, moving, grid)) is None:
-        return "truth" if noisy.any() else "odometry"
-    noisy &= shared.part + _ERRORS * shared.error < _SHARED
-    only_odometry = shared.odometry_noise > _NOISE_RATIO * shared.noise_of_truth
-    only_odometry &= shared.odometry_noise > _ERRORS * shared.noise_error
-    if not recording.matched:  # motion interpolated between laser sweeps is too smooth to show the odometry's noise
-        noisy |= only_odometry & (shared.odometry_noise * per_noise > _LEAST_BIAS)
-    return "truth" if noisy.any() else "odometry"
+    if (found := _noise(recording, moving, grid)) is None:
+        rough = np.diff(step, n=2, axis=0)[moving]
+        square = np.minimum(rough**2, 9.0 * np.median(rough**2, axis=0) + 1e-15)
+        return "truth" if (square.mean(axis=0) / 6.0 * per_noise > _BLIND_BIAS).any() else "odometry"
+    noisy = found.odometry > np.maximum(_NOISE_RATIO * found.truth, _ERRORS * found.error)
+    return "truth" if (noisy & (found.odometry * per_noise > _BIAS)).any() else "odometry"
 
 
 def _steps(path: Trajectory, grid: Array, origin_ns: int) -> Array:
@@ -287,27 +279,23 @@ def _steps(path: Trajectory, grid: Array, origin_ns: int) -> Array:
     return np.stack((steps.ds_m, steps.dtheta_rad), axis=1)
 
 
-class _Shared(NamedTuple):
-    """Roughness of travel and turn (2,) that odometry and truth share, and the noise of each.
+class _Noise(NamedTuple):
+    """Noise variances (2,) of travel and turn, m^2 and rad^2.
 
-    part, error : fraction of the odometry's roughness that the truth shares, and its standard error
-    odometry_noise : noise variance of a step of the odometry
-    noise_of_truth : variance of a step with as much noise as remains in the truth's smoothed speeds
-    noise_error : standard error of `odometry_noise`
+    odometry, error : of a step of the odometry, and its standard error
+    truth : of a step with as much noise as remains in the truth's smoothed speeds
     """
 
-    part: Array
+    odometry: Array
     error: Array
-    odometry_noise: Array
-    noise_of_truth: Array
-    noise_error: Array
+    truth: Array
 
 
-def _shared(recording: Recording, moving: NDArray[np.bool_], grid: Array) -> _Shared | None:
-    """Return the roughness shared by both sides; None if the truth has no headings or too few samples.
+def _noise(recording: Recording, moving: NDArray[np.bool_], grid: Array) -> _Noise | None:
+    """Return the noise of both sides; None if the truth has no headings or too few samples.
 
-    The noise of one side is uncorrelated with the other side, so the mean product of both estimates the shared part. If
-    the truth shows no significant difference, it is too noisy as a regressor itself.
+    Roughness that both sides share is motion, such as speed oscillations of motors: the noise of one side is
+    uncorrelated with the other side, so that the mean product of both estimates the shared part.
     """
     seen = aligned(recording, coarse_clock(recording))
     truth_s = seen.truth.seconds_since(recording.origin_ns)
@@ -324,17 +312,14 @@ def _shared(recording: Recording, moving: NDArray[np.bool_], grid: Array) -> _Sh
     limit = _CLIP * np.array([np.median(np.abs(d[k])) for d, k in zip(differs.T, kept.T, strict=True)])
     differs = np.clip(differs, -limit, limit)
     count = kept.sum(axis=0)
-    whole = np.maximum((own**2).sum(axis=0), 1e-30)
     alone, of_truth = -own * differs / 6.0, (own + differs) * differs / 6.0
     white = np.where(kept, _white(seen.truth, grid, recording.origin_ns)[chosen] / 6.0, 0.0)
     white = np.minimum(white, limit**2 / 6.0).sum(axis=0) / count
     coloured = np.maximum(of_truth.sum(axis=0) / count - white, 0.0)
-    return _Shared(
-        part=1.0 - 6.0 * alone.sum(axis=0) / whole,
-        error=6.0 * alone.std(axis=0) * np.sqrt(len(own)) / whole,
-        odometry_noise=alone.sum(axis=0) / count,
-        noise_of_truth=coloured + _remaining(seen.truth, grid) * white,
-        noise_error=alone.std(axis=0) * np.sqrt(len(own)) / count,
+    return _Noise(
+        odometry=alone.sum(axis=0) / count,
+        error=alone.std(axis=0) * np.sqrt(len(own)) / count,
+        truth=coloured + _remaining(seen.truth, grid) * white,
     )
 
 

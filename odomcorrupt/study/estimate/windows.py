@@ -29,7 +29,7 @@ from scipy.stats import norm
 from odomcorrupt.geometry.se2 import between, rotate
 from odomcorrupt.geometry.trajectory import distance_along
 from odomcorrupt.model.noise_laws import variances
-from odomcorrupt.study.estimate.intervals import cut_at, intervals_between, pick_interval_ends
+from odomcorrupt.study.estimate.intervals import cut_at, intervals_between
 from odomcorrupt.study.estimate.truth_bias import gyro_roots
 from odomcorrupt.study.io.headings import alignment, with_recomputed_headings
 
@@ -59,40 +59,23 @@ def time_windows(recording: Recording, length_s: float = WINDOW_S, phase: float 
 def _time_ends(recording: Recording, length_s: float, phase: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return indices of truth samples at which windows begin and end, and of the complete windows between them.
 
-    They follow one another, restarted after each stretch without truth if a grid would lose most of them.
-    Each window with an end in such a stretch is lost, and with it the next. Restarted windows begin where the truth
-    does, often at its least accurate poses, and hardly differ between phases.
+    A window begins where the one before ends, or at the first sample from which one is complete, to a tenth.
     """
     odo_s, truth_s = recording.odometry_s, recording.truth_s
-    known, first_s = recording.truth.known, odo_s[0] + phase * length_s
-    picked = pick_interval_ends(truth_s, first_s, odo_s[-1], length_s, known)
-    complete = _complete(truth_s[picked], length_s)
-    if 2 * np.count_nonzero(complete) < len(complete):
-        usable = np.flatnonzero(known & (truth_s >= first_s) & (truth_s <= odo_s[-1]))
-        picked = usable[_restarted(truth_s[usable], length_s)]
-    return picked, np.flatnonzero(_complete(truth_s[picked], length_s))
-
-
-def _complete(ends_s: Array, length_s: float) -> NDArray[np.bool_]:
-    """Return which intervals (n - 1,) between times (n,) are of the wanted length, to a tenth."""
-    return np.abs(np.diff(ends_s) - length_s) < 0.1 * length_s
-
-
-def _restarted(usable_s: Array, length_s: float) -> NDArray[np.int64]:
-    """Return indices of the ends of windows among times (n,) with gaps; each row of windows is on a grid of its own."""
-    ends = np.searchsorted(usable_s, usable_s + length_s - 1e-9)
-    beyond = usable_s[np.minimum(ends, len(usable_s) - 1)]
-    starts = np.flatnonzero((ends < len(usable_s)) & (beyond - usable_s < 1.1 * length_s))
-    found, begin = [0], 0
-    while (at := int(np.searchsorted(starts, begin))) < len(starts):
-        begin = int(starts[at])
-        grid = np.arange(usable_s[begin], usable_s[-1] + length_s, length_s) - 1e-9
-        row = np.minimum(np.searchsorted(usable_s, grid), len(usable_s) - 1)
-        whole = _complete(usable_s[row], length_s)
-        count = len(whole) if whole.all() else int(np.argmin(whole))
-        found += row[: count + 1].tolist()
-        begin = int(row[count])
-    return np.unique(found)
+    first_s = odo_s[0] + phase * length_s
+    usable = np.flatnonzero(recording.truth.known & (truth_s >= first_s) & (truth_s <= odo_s[-1]))
+    usable_s = truth_s[usable]
+    ends = np.minimum(np.searchsorted(usable_s, usable_s + length_s - 1e-9), len(usable_s) - 1)
+    starts = np.flatnonzero(np.abs(usable_s[ends] - usable_s - length_s) < 0.1 * length_s)
+    picked, complete = list[int](), list[int]()
+    at = 0
+    while (number := int(np.searchsorted(starts, at))) < len(starts):
+        begin, at = int(starts[number]), int(ends[starts[number]])
+        if not picked or picked[-1] != begin:
+            picked.append(begin)
+        complete.append(len(picked) - 1)
+        picked.append(at)
+    return usable[picked or slice(1)], np.array(complete, dtype=np.int64)
 
 
 def distance_windows(recording: Recording, length_m: float, phase: float = 0.0) -> Intervals:
@@ -137,32 +120,13 @@ class WindowErrors:
 
     error : (n, c) along, across (m), and yaw (rad) if the truth has headings, in the frame of the window's end
     covariance : (n, c, c) predicted by the model, truth noise included
-    shared : (n, c, m) root of the part of the covariance that is common to windows, or None
     """
 
     error: Array
     covariance: Array
-    shared: Array | None = None
 
     def __len__(self) -> int:
         return len(self.error)
-
-    @property
-    def spectrum(self) -> Array:
-        """Weights (n c,) of independent chi-squares whose sum is the sum of NEES; all 1 if windows share no error."""
-        n, c = self.error.shape
-        if self.shared is None:
-            return np.ones(n * c)
-        root = np.linalg.solve(np.linalg.cholesky(self.covariance), self.shared)
-        joint = root.reshape(n * c, -1) @ root.reshape(n * c, -1).T
-        for i in range(n):
-            joint[i * c : (i + 1) * c, i * c : (i + 1) * c] = np.eye(c)
-        return np.maximum(np.linalg.eigvalsh(joint), 0.0)
-
-    def channel(self, i: int) -> WindowErrors:
-        """Return the errors of channel `i` alone."""
-        shared = None if self.shared is None else self.shared[:, i : i + 1]
-        return WindowErrors(self.error[:, i : i + 1], self.covariance[:, i : i + 1, i : i + 1], shared)
 
     @property
     def nees(self) -> Array:

@@ -92,16 +92,6 @@ class Evidence:
         normal = self.gram.sum(axis=0)[np.ix_(own, own)] + np.diag(self.precision[own])
         return np.linalg.solve(normal, self.score.sum(axis=0)[own])
 
-    def copies(self, plain: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return which terms (J,) are nearly a plain one on these data: all of them are on one side of a threshold.
-
-        plain : (J,) terms of one column without a shape
-        """
-        whole, at = self.gram.sum(axis=0), self.first[:-1]
-        length = np.sqrt(np.maximum(np.diag(whole), 1e-300))
-        alike = np.square(whole / np.outer(length, length))[np.ix_(at, at)] > 0.99
-        return (np.diff(self.first) == 1) & ~plain & (alike & plain).any(axis=1)
-
     def gains(self, subsets: Sequence[Subset]) -> Gains:
         """Return the evidence of sets of terms."""
         score, folds = np.full(len(subsets), -np.inf), np.zeros((len(subsets), len(self.gram)))

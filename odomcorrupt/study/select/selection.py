@@ -230,8 +230,7 @@ class _Selection:
         free = np.ravel(self.fit.free_clocks)
         ticking = [i for i, t in enumerate(self.competing) if isinstance(t, ClockTerm) and free[list(t.which)].any()]
         self.chosen = (*range(len(present)), *ticking)
-        plain = [isinstance(t, LibraryTerm) and t.width == 1 and not len(t.shape) for t in self.competing]
-        self._exclude(self.evidence.copies(np.array(plain)))
+        self.search = Search.of(self.evidence, self.chosen)
 
     def _exclude(self, terms: NDArray[np.bool_]) -> None:
         """Search without some terms (J,), unless they are in the model."""

@@ -5,7 +5,7 @@ term is represented by its mean over them. A family then costs one whitening per
 scores of a term always come from its exact columns.
 
 Places, thresholds and correlation times are nonlinear parameters. Families are evaluated on grids. From the best
-members, coordinate steps of decreasing size lead to the nearest maximum. Once a term is in the model, a simplex varies
+member, coordinate steps of decreasing size lead to the nearest maximum. Once a term is in the model, a simplex varies
 all its shape parameters jointly, because the likelihood may have ridges.
 """
 
@@ -249,11 +249,6 @@ _PLACE = 3
 _SIMPLEX = 0.25
 """Scale of the first simplex."""
 _MOST_STEPS, _WORTH_NATS = 12, 0.1  # largest number of steps at each scale; least gain of a step
-_MEMBERS = 12
-"""Largest number of members of a family among which the starts are."""
-_STARTS, _LARGE_NATS = 4, 30.0
-"""Number of starting members if the best one gains this many nats, because other maxima may be near.
-Below that gain only the best member is a start: its finer features are not significant either."""
 _NEAR, _WORTH = 0.03, 0.05
 """Size of the simplex, as a fraction of the first steps, and difference in nats at which it ends."""
 
@@ -302,10 +297,7 @@ class ShapeSearch:
         for members in (family, *zip(*(term.with_words(("heading",)) for term in family), strict=True)):
             begin: Sequence[LibraryTerm] = members
             if not members[0].remembers and len(members) > 1:
-                nats = self.coarse_gains(members)
-                order = np.argsort(-nats, kind="stable")
-                ranked = starts([members[i] for i in order[:_MEMBERS]], float(nats[order[0]]))
-                begin = [self.climb(term) for term in ranked]
+                begin = [self.climb(members[int(np.argmax(self.coarse_gains(members)))])]
             found.append(max(begin, key=self.gain))
         return found
 
@@ -361,18 +353,3 @@ class ShapeSearch:
         simplex = np.vstack((none, np.eye(len(none))))
         options = {"initial_simplex": simplex, "xatol": _NEAR, "fatol": _WORTH}
         return moved(minimize(lambda by: -self.gain(moved(by)), none, method="Nelder-Mead", options=options).x)
-
-
-def starts(ranked: Sequence[LibraryTerm], nats: float) -> list[LibraryTerm]:
-    """Return terms to refine, the best first: one, or if its gain is large, some that may lead to other maxima.
-
-    nats : gain of the best
-    """
-    chosen = [ranked[0]]
-    for term in ranked[1:]:
-        if len(chosen) == _STARTS or nats < _LARGE_NATS:
-            break
-        # two members that differ by less than a step are likely to lead to the same maximum
-        if all(np.any(np.abs(term.shape - other.shape) > term.steps) for other in chosen):
-            chosen.append(term)
-    return chosen

@@ -98,8 +98,6 @@ _MIN_WINDOWS = 3
 """Fewest windows for a statement."""
 _DRAWS = 20_000
 _SEED = 1_950_128
-_MIN_WEIGHT, _ALIKE = 1e-3, 0.02
-"""Chi-square components with smaller weights are neglected; logarithm of the ratio of weights drawn together."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,7 +143,7 @@ def horizon_of(distance_m: float, parts: Sequence[tuple[WindowErrors, ParameterU
     )
     nees = float(both.nees.mean() / count)
     rng = np.random.default_rng(_SEED)
-    sums = [_squares(part, own, rng, len(part) * count, float(own.truth.mean())) for part, own in parts]
+    sums = [_squares(own, rng, len(part) * count, float(own.truth.mean())) for part, own in parts]
     # under the model and its parameter uncertainty
     means = np.sort(np.sum(sums, axis=0) / (sum(len(part) for part, _ in parts) * count))
     low, high = np.quantile(means, [0.025, 0.975])
@@ -175,9 +173,7 @@ def horizon_of(distance_m: float, parts: Sequence[tuple[WindowErrors, ParameterU
     )
 
 
-def _squares(
-    errors: WindowErrors, uncertainty: ParameterUncertainty, rng: np.random.Generator, freedom: int, spread: float
-) -> Array:
+def _squares(uncertainty: ParameterUncertainty, rng: np.random.Generator, freedom: int, spread: float) -> Array:
     """Return draws of the sum of normalised squares of one part under the model, within the parameters' errors.
 
     freedom : number of squares; spread : their relative standard deviation from errors of the truth
@@ -188,30 +184,19 @@ def _squares(
     scale = np.maximum(scale, _MIN_VARIANCE)
     by = rng.standard_normal((_DRAWS, len(uncertainty.gram)))
     offset = freedom * np.maximum(np.sum((by @ uncertainty.gram) * by, axis=1), 0.0)
-    if errors.shared is None:
-        return scale * rng.noncentral_chisquare(freedom, offset)
-    weights = np.sort(errors.spectrum)
-    weights = weights[weights > _MIN_WEIGHT]
-    total = np.zeros(_DRAWS)
-    # nearly equal weights are drawn together
-    group = np.floor(np.log(weights) / _ALIKE)
-    for alike in np.split(weights, np.flatnonzero(np.diff(group)) + 1):
-        if len(alike):
-            total += alike.mean() * rng.chisquare(len(alike), _DRAWS)
-    return scale * (total + offset)
+    return scale * rng.noncentral_chisquare(freedom, offset)
 
 
 def _excess(errors: WindowErrors, parts: Sequence[tuple[WindowErrors, ParameterUncertainty]]) -> Array:
     """Return the two-sided p-value of each channel's sum of squares, including the parameters' uncertainty."""
     square = np.sum((errors.error / errors.deviation) ** 2, axis=0)
     exact = all(not (len(own.scale) or own.gram.any() or own.truth.any()) for _, own in parts)
-    if not exact or any(part.shared is not None for part, _ in parts):
+    if not exact:
         rng = np.random.default_rng(_SEED)
         above = np.zeros(len(square))
         for i, own in enumerate(square):
             drawn = sum(
-                _squares(part.channel(i), uncertainty, rng, len(part), float(uncertainty.truth[i]))
-                for part, uncertainty in parts
+                _squares(uncertainty, rng, len(part), float(uncertainty.truth[i])) for part, uncertainty in parts
             )
             above[i] = (np.sum(drawn >= own) + 1.0) / (_DRAWS + 1.0)
         below = 1.0 if any(uncertainty.truth.any() for _, uncertainty in parts) else 1.0 - above + 1.0 / _DRAWS

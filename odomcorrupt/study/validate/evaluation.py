@@ -10,13 +10,7 @@ import numpy as np
 
 from odomcorrupt.study.estimate.noise_likelihood import VarianceComponents, fit_noise
 from odomcorrupt.study.estimate.problem import Problem, pose_problem
-from odomcorrupt.study.estimate.random_process import (
-    CORRELATED_NOISE,
-    precision_of,
-    prior_root,
-    processes_like,
-    widened,
-)
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, widened
 from odomcorrupt.study.estimate.robust_errors import BLOCK_S
 from odomcorrupt.study.estimate.whitener import FLOOR, Whitener, interval_covariance, whitener
 from odomcorrupt.study.estimate.windows import WindowErrors, distance_windows, position_windows
@@ -33,33 +27,6 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.estimate.windows import PositionWindows
     from odomcorrupt.study.io.recording import Recording
-
-_PER_TIME, _MOST_KNOTS = 8.0, 200
-"""Knots per correlation time, and their largest number: a process that is faster is hardly common to two windows."""
-
-
-def process_roots(random: Sequence[Effect], windows: Intervals, motion: Motion) -> Array | None:
-    """Return a root (n, 3, m) of the covariance of the errors of n windows of one run by Markov processes, or None.
-
-    A gain or bias that changes slowly is nearly the same in successive windows, so that their errors are no independent
-    evidence against its size.
-
-    random : random effects of a model; those without memory over windows are left out
-    """
-    roots = []
-    for effect in random:
-        if effect.name not in CORRELATED_NOISE:
-            continue
-        (process,) = processes_like(effect)
-        span_s = float(motion.t_s[-1] - motion.t_s[0])
-        step_s = max(process.memory_s / _PER_TIME, span_s / _MOST_KNOTS)
-        knots_s = motion.t_s[0] + np.arange(int(span_s / step_s) + 2) * step_s
-        change = process.unit(motion) * motion.dt_s[:, None]
-        weights = np.maximum(1.0 - np.abs(motion.t_s - knots_s[:, None]) / step_s, 0.0)
-        columns = [windows.column(change * weight[:, None]) for weight in weights]
-        root = prior_root(precision_of(process, np.diff(knots_s)))
-        roots.append(np.stack(columns, axis=2) @ (getattr(effect, process.scale) * root))
-    return np.concatenate(roots, axis=2) if roots else None
 
 
 def random_covariance(random: Sequence[Effect], windows: Intervals, motion: Motion) -> Array:
@@ -165,9 +132,7 @@ class Evaluation:
         count = errors.error.shape[1]
         random, motion = _random_effects(self.model), self.problem.motions[0]
         more = random_covariance(random, windows, motion)[:, :count, :count]
-        roots = process_roots(random, windows, motion)
-        shared = None if roots is None else roots[:, :count]
-        errors = replace(errors, covariance=errors.covariance + more, shared=shared)
+        errors = replace(errors, covariance=errors.covariance + more)
         spread = uncertainty_of(self.model, windows, errors, self.problem, inflate=self.inflation, positions=positions)
         return errors, spread
 
