@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.effect import parameters
+from odomcorrupt.study.estimate.noise_likelihood import pseudo_inverse
 from odomcorrupt.study.io.clock import clock_leaders, led
 from odomcorrupt.study.io.recording import ranks_of
 
@@ -100,10 +101,7 @@ def with_robust_errors(fitted: Fit, shaped: Container[str] = ()) -> Fit:
     white = fitted.noise.whitener.whiten(columns)
     # prior of a shape: at its value, with its typical size as the standard deviation
     prior = np.diag([0.0] * design.shape[2] + [p.typical**-2.0 for _, p in shapes])
-    normal = white.T @ white + prior
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    covariance = np.linalg.pinv(normal * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale)
-    covariance = covariance[: design.shape[2]]
+    covariance = pseudo_inverse(white.T @ white + prior)[: design.shape[2]]
     ratio, dof = between_blocks(np.repeat(block_of(problem), 3), white @ covariance.T, fitted.noise.innovations)
     variance = np.diag(covariance) * inflation(ratio, dof, shared_variance(ratio, dof))
     own, errors = len(fitted.standard_errors), np.sqrt(variance)

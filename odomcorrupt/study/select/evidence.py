@@ -19,6 +19,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from odomcorrupt.study.estimate.gauss_newton import orthonormal
+from odomcorrupt.study.estimate.noise_likelihood import pseudo_inverse
 from odomcorrupt.study.estimate.robust_errors import inflation, shared_variance
 
 if TYPE_CHECKING:
@@ -292,8 +293,7 @@ def scores_of(evidence: Evidence, terms: Sequence[LibraryTerm | BasisTerm]) -> l
     for i in range(len(terms)):
         own = evidence.columns((i,))
         normal = gram[np.ix_(own, own)]
-        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        covariance = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+        covariance = pseudo_inverse(normal)
         left = 1.0 / np.maximum(np.diag(covariance), 1e-300)
         theta = covariance @ score[own]
         statistic = float(theta @ score[own])

@@ -1,8 +1,8 @@
 """Folds of the fitted recordings for cross-validation: a model is refitted without a fold and evaluated on it.
 
-Folds are whole runs, or the halves of a single one; a refit uses all others together, because a single run may not show
-every effect. It is weakly held by the fit of all recordings, so that an effect that the others do not show stays where
-it was. Folds depend neither on the names of the recordings nor on their order.
+Folds are whole runs, or the halves of the way of a single one; a refit uses all others together, because a single run
+may not show every effect. It is weakly held by the fit of all recordings, so that an effect that the others do not show
+stays where it was. Folds depend neither on the names of the recordings nor on their order.
 """
 
 from __future__ import annotations
@@ -19,12 +19,10 @@ from odomcorrupt.study.io.clock import clock_leaders
 from odomcorrupt.study.io.recording import ranks_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from odomcorrupt.study.io.recording import Recording
 
-_MIN_FRACTION = 0.25
-"""Least fraction of the distance in a half; with less (the robot rested or crept) a half is not informative."""
 _MOST_FOLDS = 5
 """Number of folds of many runs (Hastie, Tibshirani & Friedman 2009, section 7.10: five or ten)."""
 HELD_BY = 10.0
@@ -88,17 +86,16 @@ def split_of(recordings: Sequence[Recording], fitted: Sequence[bool], spacing_s:
     others = [(i,) for i, is_known in enumerate(known) if not is_known]
     enough = [i for i in own if sum(count_intervals(r, spacing_s) for r in runs[i]) >= LEAST_INTERVALS] or own
     ranks = ranks_of(recordings)
-    groups = _balanced({i: (-sum(_seconds(r) for r in runs[i]), float(ranks[rows[i][0]])) for i in enough})
+    longest_first = sorted(enough, key=lambda i: (-sum(_seconds(r) for r in runs[i]), ranks[rows[i][0]]))
+    groups = [tuple(sorted(longest_first[k::_MOST_FOLDS])) for k in range(min(len(enough), _MOST_FOLDS))]
     # runs that are too short for a fit of their own are grouped with the longest
     groups[:1] = [tuple(sorted((*group, *(i for i in own if i not in enough)))) for group in groups[:1]]
     middle, notes = None, list[str]()
     if len(groups) == 1:
         run = [recording for i in groups[0] for recording in runs[i]]
-        middle, note = _middle(run)
+        middle = _middle(run)
         sides = _halves(run, middle, spacing_s)
-        if all(sides):
-            notes += [note] if note else []
-        else:
+        if not all(sides):
             middle = None
             notes.append(
                 f"{run[0].name}: too short to be fitted on one half and evaluated on the other: its "
@@ -116,20 +113,6 @@ def _seconds(recording: Recording) -> float:
     return float(inside[-1] - inside[0]) * 1e-9 if len(inside) else 0.0
 
 
-def _balanced(runs: Mapping[int, tuple[float, float]]) -> list[tuple[int, ...]]:
-    """Return at most `_MOST_FOLDS` groups of runs of about equal duration: the longest first, each to the shortest.
-
-    runs : minus the duration (s) of each run, and its rank among runs of the same one
-    """
-    groups: list[list[int]] = [[] for _ in range(min(len(runs), _MOST_FOLDS))]
-    lengths = np.zeros(len(groups))
-    for i in sorted(runs, key=lambda i: runs[i]):
-        shortest = int(np.argmin(lengths))
-        groups[shortest].append(i)
-        lengths[shortest] -= runs[i][0]
-    return [tuple(sorted(group)) for group in groups]
-
-
 def _runs(recordings: Sequence[Recording]) -> list[list[int]]:
     """Return the indices of recordings grouped by shared clock, so that stretches of one run are together."""
     runs: dict[int, list[int]] = {}
@@ -138,8 +121,8 @@ def _runs(recordings: Sequence[Recording]) -> list[list[int]]:
     return list(runs.values())
 
 
-def _middle(run: Sequence[Recording]) -> tuple[int, str]:
-    """Return the stamp of a run's middle in time, or in distance if one of its halves would hardly move, and a note."""
+def _middle(run: Sequence[Recording]) -> int:
+    """Return the stamp at which a run has gone half of its way."""
     every, gone = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
     for recording in run:
         inside = recording.within_odometry
@@ -147,19 +130,11 @@ def _middle(run: Sequence[Recording]) -> tuple[int, str]:
         every.append(recording.truth.stamps_ns[inside])
         gone.append(np.diff(so_far_m, prepend=so_far_m[:1]))
     stamps = np.concatenate(every)
-    order = np.argsort(stamps, kind="stable")
-    stamps, distance_m = stamps[order], np.cumsum(np.concatenate(gone)[order])
     if not len(stamps):
         raise RecordingError(f"{run[0].name}: odometry and truth have no time in common; check the two clocks")
-    middle = len(stamps) // 2
-    share = distance_m[middle] / max(distance_m[-1], 1e-9)
-    if distance_m[-1] <= 0.0 or _MIN_FRACTION <= share <= 1.0 - _MIN_FRACTION:
-        return int(stamps[middle]), ""
-    by_distance = int(np.searchsorted(distance_m, distance_m[-1] / 2.0))
-    at_s = float(stamps[by_distance] - stamps[0]) * 1e-9
-    still = "first" if share < _MIN_FRACTION else "second"
-    note = f"{run[0].name}: hardly moves in the {still} half of its time: cut at half of its way, after {at_s:.0f} s"
-    return int(stamps[by_distance]), note
+    order = np.argsort(stamps, kind="stable")
+    distance_m = np.cumsum(np.concatenate(gone)[order])
+    return int(stamps[order][np.searchsorted(distance_m, 0.5 * distance_m[-1])])
 
 
 def _halves(

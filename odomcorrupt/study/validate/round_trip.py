@@ -38,8 +38,6 @@ all recordings, each other one `_STRETCH_S` of one of them, because random effec
 _STRETCH_S = 300.0
 _MIN_DIFFERENCE = 0.05
 """Relative difference within which two errors count as equal."""
-_MAX_NOMINAL = 1.5
-"""Ratio of the true turn to the odometry's, or its inverse, from which a nominal value is reported as wrong."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,10 +83,7 @@ def verified_model(model: MotionModel, recordings: Sequence[Recording]) -> Round
         changes.append(f"{change}: {failure}")
         left_out |= dict.fromkeys(_names(model) - _names(repaired), failure)
         model = repaired
-    corrected, notes = _correctable(model, drives)
-    left_out |= dict.fromkeys(_names(model) - _names(corrected), "`correct` leaves a smaller error without it")
-    model = corrected
-    said = (*changes, *notes, *bound_notes(model), *_setup_note(model, drives))
+    said = (*changes, *bound_notes(model), *_correction_note(model, drives))
     if said:
         model = replace(model, source=dict(model.source) | {"remarks": list(said)})
     return RoundTrip(model, said, left_out)
@@ -99,7 +94,7 @@ def _names(model: MotionModel) -> set[str]:
 
 
 def bound_notes(model: MotionModel) -> tuple[str, ...]:
-    """Return a sentence for each parameter at its bound, and for nominal values wrong by a large factor."""
+    """Return a sentence for each parameter at its bound."""
     notes = []
     for effect in (*model.effects, *model.setup.effects):
         for p in amplitudes(effect):
@@ -109,32 +104,38 @@ def bound_notes(model: MotionModel) -> tuple[str, ...]:
                     f"{effect.name}.{p.name} = {value:.4g} {p.unit}".rstrip() + " is at its physical bound: the "
                     "robot's nominal values, units or topics are wrong, or the cause is another one"
                 )
-        if effect.name == "wheelbase":
-            factor = 1.0 / (1.0 + getattr(effect, "e", 0.0))
-            if not 1.0 / _MAX_NOMINAL < factor < _MAX_NOMINAL:
-                notes.append(
-                    f"the robot turns {factor:.2g} times as far as its odometry reports: its nominal track or gear "
-                    f"ratio is wrong by a factor of {factor:.2g}, unless its wheels skid as it turns"
-                )
     return tuple(notes)
 
 
-def _setup_note(model: MotionModel, drives: Sequence[_Drive]) -> list[str]:
-    """Return why the errors of `correct` and of the fit differ, if the set-up makes them differ."""
-    names = [effect.name for effect in model.setup.effects]
-    # The laser's mounting belongs to the truth; it is not corrected in the odometry.
-    if not names or all(drive.recording.matched for drive in drives):
+def _correction_note(model: MotionModel, drives: Sequence[_Drive]) -> list[str]:
+    """Return why the errors of `correct` and of the fit differ, if they do.
+
+    The fit uses accelerations of smoothed motion and the places of the truth, the correction those between successive
+    poses unless the odometry is rough, and the places of the odometry. The set-up belongs to the truth.
+    """
+    reading = [effect for effect in model.effects if effect.reads_truth and effect.kind != "noise"]
+    # a laser's mounting is known from its scans
+    setup = () if all(drive.recording.matched for drive in drives) else model.setup.effects
+    if not (reading or setup):
         return []
-    alone = replace(model, setup=replace(model.setup, effects=()))
-    robot, both = _fitted_error(alone, drives), _fitted_error(model, drives)
-    if not abs(robot - both) > _MIN_DIFFERENCE * both:
+    beside = () if setup else model.setup.effects
+    left_m, fitted_m = _corrected_error(model.effects, beside, drives), _fitted_error(model, drives)
+    if not abs(left_m - fitted_m) > _MIN_DIFFERENCE * fitted_m:
         return []
-    said = (
-        f"`correct` with this model leaves {robot * 1e3:.1f} mm after 10 s on the fitted data, the fit "
-        f"{both * 1e3:.1f} mm: {' and '.join(names)} (the position of the truth's tracked point) is not part of "
-        "`correct`; give it with --effect to have it taken out, too"
-    )
-    return [said]
+    reasons = []
+    if setup:
+        names = " and ".join(effect.name for effect in setup)
+        reasons.append(
+            f"{names} (the position of the truth's tracked point) is not part of `correct`; give it with --effect to "
+            "have it taken out, too"
+        )
+    if reading:
+        why = "reads accelerations, and from one pose to the next these are rougher than the fit's smooth ones"
+        if all(effect.reads_places for effect in reading):
+            why = "acts at places, which drifting odometry reaches too early or late; corruption follows the true path"
+        reasons.append(f"{' and '.join(effect.name for effect in reading)} {why}")
+    errors = f"leaves {left_m * 1e3:.1f} mm after 10 s on the fitted data, the fit {fitted_m * 1e3:.1f} mm"
+    return [f"`correct` with this model {errors}: {'; '.join(reasons)}"]
 
 
 def _drive(model: MotionModel, recording: Recording) -> _Drive:
@@ -200,38 +201,6 @@ def _driven(drives: Sequence[_Drive], run: int) -> Iterator[tuple[_Drive, slice]
     yield drive, slice(max(int(first) - 1, 0), int(last))
 
 
-def _correctable(model: MotionModel, drives: Sequence[_Drive]) -> tuple[MotionModel, list[str]]:
-    """Return the simplest model with about the least error after `correct` if that exceeds the fit's, and a sentence.
-
-    The fit uses accelerations of smoothed motion, the correction those between successive poses unless the odometry is
-    rough. A dependence that switches with the acceleration may then correct less than none would.
-    """
-    reading = [effect for effect in model.effects if effect.reads_truth and effect.kind != "noise"]
-    if not reading:
-        return model, []
-    left_m, fitted_m = _corrected_error(model.effects, model, drives), _fitted_error(model, drives)
-    if not left_m > (1.0 + _MIN_DIFFERENCE) * fitted_m:
-        return model, []
-    errors = f"leaves {left_m * 1e3:.1f} mm after 10 s on the fitted data, the fit {fitted_m * 1e3:.1f} mm"
-    placed = all(effect.reads_places for effect in reading)
-    usable = [
-        (_corrected_error(other.effects, other, drives), other, change)
-        for other, change in (_without(model, effect) for effect in reversed(reading))
-        if not _failure(other, drives)
-    ]
-    least_m, other, change = min(usable, key=lambda one: one[0], default=(np.inf, model, ""))
-    # A small gain is specific to these data, unless it is small because odometry that drifts meets places too early or
-    # too late: corruption follows the true path and needs these effects.
-    if least_m < left_m * (1.0 if placed else 1.0 + _MIN_DIFFERENCE):
-        other, more = _correctable(other, drives)
-        return other, [f"{change}, which leaves {least_m * 1e3:.1f} mm: `correct` with it {errors}", *more]
-    names = " and ".join(effect.name for effect in reading)
-    why = "reads accelerations or places, and from one pose to the next these are rougher than the fit's smooth ones"
-    if placed:
-        why = "acts at places, which drifting odometry reaches too early or too late; corruption follows the true path"
-    return model, [f"`correct` with this model {errors}: {names} {why}"]
-
-
 def _fitted_error(model: MotionModel, drives: Sequence[_Drive]) -> float:
     """Return the position error (m) after 10 s of the fit on its data."""
     effects = (*model.effects, *model.setup.effects)
@@ -245,13 +214,13 @@ def _correction(effects: Sequence[Effect], drive: _Drive) -> Array:
     return undo_effects(effects, t_s, xyt, track_m, frame_xyt=frame).error_xyt
 
 
-def _corrected_error(effects: Sequence[Effect], model: MotionModel, drives: Sequence[_Drive]) -> float:
-    """Return the position error (m) after 10 s of `correct` on the fitted data, with the model's set-up removed."""
+def _corrected_error(effects: Sequence[Effect], setup: Sequence[Effect], drives: Sequence[_Drive]) -> float:
+    """Return the position error (m) after 10 s of `correct` on the fitted data, with these set-up effects removed."""
     runs = []
     for drive in drives:
         before = drive.recording.odometry
         odometry = replace(before, xyt=before.xyt + _correction(effects, drive))
-        runs.append(with_recomputed_headings(undo(replace(drive.recording, odometry=odometry), model.setup.effects)))
+        runs.append(with_recomputed_headings(undo(replace(drive.recording, odometry=odometry), setup)))
     return drift_of(runs).rmse
 
 
