@@ -114,8 +114,7 @@ def learn_robot(
     placed = [effect.name for effect in proof.model.effects if effect.reads_places]
     unplaced = placed if held_out and shared_frame([*recordings, *held_out]) is None else []
     judged_on = recordings if unplaced else held_out or recordings
-    plain = search.first_clocks if judged_on is recordings else None
-    clocks = clocks_beside(judged_on, choose_approach(judged_on), list(models.values())[-1], plain)
+    clocks = clocks_beside(judged_on, choose_approach(judged_on), list(models.values())[-1])
     comparison = compare(judged_on, models, clocks=clocks)
     explained = contributions(search.fit, judged_on, comparison.clocks.clocks)
     verdict = comparison.evaluations[-1].verdict

@@ -345,15 +345,6 @@ def test_a_bias_that_walks_all_the_time_is_found():
     assert [found.name for found in processes_of(turned(walk))[0]] == ["gyro_bias_walk"]
 
 
-@pytest.mark.parametrize("seed", [14, 34])
-def test_a_bias_that_hardly_walks_in_one_half_by_chance_is_found(seed):
-    walk = np.cumsum(np.random.default_rng(seed).normal(0.0, 6e-4 / np.sqrt(RATE_HZ), 12_000))
-    found, *others = processes_of(turned(walk, seed))[0]
-    assert found.name == "gyro_bias_walk"
-    assert {(other.name, other.channel) for other in others} <= {("gauss_markov", "wheels")}  # the same, but for rests
-    assert found.density == pytest.approx(6e-4, rel=0.25)
-
-
 def _learned(seed, cause, parameters, yaw_from):
     run = simulate(seed, cause, duration_s=400.0, parameters=parameters, yaw_from=yaw_from)
     without = as_recording(simulate(seed, None, duration_s=400.0, yaw_from=yaw_from))

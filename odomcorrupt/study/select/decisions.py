@@ -87,8 +87,6 @@ class Decisions:
         and gain 20
     map_nats : additional gain required of a varying gain of travel if the truth depends on a map: its distortions vary
         over the drive, too
-    least_chance : a random process is contradicted if it would gain as little on one half of the data as it does with
-        a lower probability
     counted_nats : gain assigned to lost increments and ticks, which are counted in the odometry
 
     heterogeneity_level : probability of reporting any difference between recordings of an unchanged robot
@@ -129,7 +127,6 @@ class Decisions:
     correlated_nats: float = 6.0
     mean_reverting_nats: float = 25.0
     map_nats: float = 20.0
-    least_chance: float = 0.05
     counted_nats: float = 100.0
     heterogeneity_level: float = 1e-3
     prior: PriorOdds = field(default_factory=PriorOdds)

@@ -46,8 +46,6 @@ if TYPE_CHECKING:
 
 _LEAST_SCALE = 1e-6
 """Smallest standard deviation of a gain that is tried; the largest is the bound of the effect's parameter."""
-_DRAWS = 4000
-"""Number of draws that estimate the probability of a gain by chance."""
 _FEW, _BESIDE = 0.05, 2
 """Largest fraction of outliers among the intervals if they are events, and intervals affected on either side."""
 
@@ -106,7 +104,7 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[DetectedRandomEf
         if key in have:
             continue
         beside, measured = _measured(fit, one, least)
-        if measured.nats > least and _in_both_halves(beside, measured.effect, decisions):
+        if measured.nats > least and _in_both_halves(beside, measured.effect):
             named.append(measured)
     return sorted(named, key=lambda one: one.nats, reverse=True)
 
@@ -149,12 +147,10 @@ def _beside(fit: Fit, effect: Effect) -> Fit:
     return replace(fit, noise=noise, random=others)
 
 
-def _in_both_halves(fit: Fit, effect: Effect, decisions: Decisions) -> bool:
+def _in_both_halves(fit: Fit, effect: Effect) -> bool:
     """Return whether a random coefficient estimated on either half of the intervals holds on the other half.
 
-    It holds where it gains. By chance, a slow process may hardly move in one half: if both halves together gain more
-    than the penalty, it also holds where such a process would gain that little with a probability of `least_chance`.
-    Events are no random process: if outliers are few, they and their neighbours are left out.
+    It holds where it gains. Events are no random process: if outliers are few, they and their neighbours are left out.
     """
     count = len(fit.problem.intervals)
     outliers = fit.noise.weights > 1.0
@@ -164,26 +160,17 @@ def _in_both_halves(fit: Fit, effect: Effect, decisions: Decisions) -> bool:
     family = [
         p for p in processes() if p.kind is type(effect) and p.fixed.get("channel") == getattr(effect, "channel", None)
     ]
-    halves, gains = [], []
+    gains = []
     whiten = fit.noise.whitener.whiten
     for process in family:
         mean = [unit_column(fit.problem, process)[:, :, None]] if process.unit is bias_of else []
         free = whiten(np.concatenate([fit.design_matrix, *mean], axis=2))
         columns = unit_knots(fit.problem, process).columns
         white = whiten(columns.reshape(-1, 3, columns.shape[1]))
-        sides = [_part(free, white, fit.noise.innovations, np.repeat(usual & side, 3)) for side in (early, ~early)]
-        halves.append(sides)
+        sides = (_part(free, white, fit.noise.innovations, np.repeat(usual & side, 3)) for side in (early, ~early))
         gains.append([_gains(*half, _scales(process)) for half in sides])
-    both = np.array(gains).swapaxes(0, 1)  # (2, processes, scales)
-    charge = 0.5 * np.log(count) * np.array([process.numbers for process in family])
-    together = float(np.max(both.sum(axis=0) - charge[:, None]))
-    for own, other in ((0, 1), (1, 0)):
-        which, at = np.unravel_index(np.argmax(both[own]), both[own].shape)
-        nats, scale = float(both[other][which, at]), float(_scales(family[which])[at])
-        by_chance = together > 0.0 and _chance_of_less(nats, halves[which][other][0], scale) >= decisions.least_chance
-        if nats <= 0.0 and not by_chance:
-            return False
-    return True
+    both = np.array(gains).swapaxes(0, 1).reshape(2, -1)  # of all processes and scales
+    return bool(both[1, np.argmax(both[0])] > 0.0 and both[0, np.argmax(both[1])] > 0.0)
 
 
 def _matched(fit: Fit) -> bool:
@@ -305,17 +292,6 @@ def _spectrum(information: Array, score: Array) -> tuple[Array, Array]:
     """Return the eigenvalues (m,) of an information matrix, and the squared scores (m,) along its eigenvectors."""
     strength, vectors = eigh(information, driver="evd")
     return np.maximum(strength, 0.0), (vectors.T @ score) ** 2
-
-
-def _chance_of_less(nats: float, strength: Array, scale: float) -> float:
-    """Return the probability of a gain up to `nats` for a process that exists at this scale, from its eigenvalues (m,).
-
-    With q the squared scale, the squared score along an eigenvector of eigenvalue s is then s (1 + q s) times a
-    chi-squared variable of one degree of freedom.
-    """
-    growth = scale**2 * strength
-    draws = np.random.default_rng(0).chisquare(1.0, (_DRAWS, len(growth)))
-    return float(np.mean(0.5 * (draws @ growth - np.log1p(growth).sum()) <= nats))
 
 
 def _gains(strength: Array, score: Array, scales: Array) -> Array:

@@ -73,7 +73,6 @@ class Learned:
     held_out : gain of each part of the model on held-out data, nats, and its standard error
     left_out : why parts that were found failed on held-out data and are not in the model, by name
     contributions : displacement of the odometry by each systematic part, if it was computed
-    first_clocks : clocks estimated before all else; None if lost increments were restored before that
     drifts_too_far : whether the model drifts clearly more than the recordings, if it was tested
     misfit : factor by which held-out errors exceed the predicted ones, if they reject the model; else 1
     """
@@ -93,7 +92,6 @@ class Learned:
     held_out: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     left_out: Mapping[str, str] = field(default_factory=dict)
     contributions: Mapping[str, Contribution] = field(default_factory=dict)
-    first_clocks: Clocks | None = None
     drifts_too_far: bool = False
     misfit: float = 1.0
 

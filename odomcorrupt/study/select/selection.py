@@ -109,7 +109,6 @@ def learn(
     approach = choose_approach(recordings, law_name)
     recordings = with_bias_walks(with_correlation_lengths(recordings, approach), approach)
     clocks = find_clocks(recordings, approach)
-    same_data = all(one is other for one, other in zip(recordings, as_given, strict=True))
     recordings = levelled(recordings, clocks)
     found, leaders = as_rows(clocks.clocks), clock_leaders(recordings)
     far = np.abs(found) * [(1.0, float(r.truth_s[-1] - r.truth_s[0])) for r in recordings] > decisions.far_clock_s
@@ -128,9 +127,7 @@ def learn(
     selection = _Selection(first, {e.name for e in start}, choice, decisions, begin, noise)
     if not is_exact(ten_second_error(first), first.problem.motions, decisions.practical):
         selection.run()
-    return replace(
-        selection.result(clocks), first_clocks=clocks if same_data else None, hides_losses=hides_losses(as_given[0])
-    )
+    return replace(selection.result(clocks), hides_losses=hides_losses(as_given[0]))
 
 
 @dataclass(slots=True)

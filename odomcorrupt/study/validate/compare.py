@@ -27,7 +27,7 @@ from odomcorrupt.study.estimate.problem import pose_problem, undo
 from odomcorrupt.study.estimate.windows import drift_of
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.encoders import restore_lost, thinned
-from odomcorrupt.study.io.headings import with_headings, with_recomputed_headings
+from odomcorrupt.study.io.headings import with_headings
 from odomcorrupt.study.io.recording import was_fitted
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.validate.calibration import CURVE_M, HORIZONS_M, Horizon
@@ -273,37 +273,9 @@ def sequence_comparison(
     return compare(recordings, {n: model_of(fitted) for n, fitted in zip(names, fits, strict=True)}, clocks=clocks)
 
 
-_MAX_ERROR_RATIO = 0.97
-"""A clock estimated with a model applied is accepted only if it reduces the 10 s error at least to this ratio."""
-
-
-def clocks_beside(
-    recordings: Sequence[Recording], approach: Approach, model: MotionModel, plain: Clocks | None = None
-) -> Clocks:
-    """Return the clocks estimated from the raw odometry or with a model applied, or zero clocks: the least 10 s error.
-
-    A strong effect can mask or imitate a clock offset, so clocks are also estimated from the model's residuals.
-    """
-    rivals = clock_rivals(recordings)
-    plain = plain or find_clocks(recordings, approach, rivals)
-    effects = [_effects(model, r) for r in recordings]
-    if not any(effect.kind != "noise" for own in effects for effect in own):
-        return plain
-    corrected = without_effects_of(model, recordings)
-    applied = find_clocks(corrected, approach, rivals)
-
-    def error_m(clocks: Clocks) -> float:
-        on_time = _on_time(recordings, clocks)
-        left = [with_recomputed_headings(undo(r, own)) for r, own in zip(on_time, effects, strict=True)]
-        return drift_of(left).rmse
-
-    found = plain
-    n = len(recordings)
-    none = replace(plain, clocks=(Clock(),) * n, free=((False, False),) * n, errors=((0.0, 0.0),) * n)
-    for other in (none, applied):
-        if error_m(other) < _MAX_ERROR_RATIO * error_m(found):
-            found = other
-    return found
+def clocks_beside(recordings: Sequence[Recording], approach: Approach, model: MotionModel) -> Clocks:
+    """Return the clocks estimated with a model applied: a strong effect can mask or imitate a clock offset."""
+    return find_clocks(without_effects_of(model, recordings), approach, clock_rivals(recordings))
 
 
 def _effects(model: MotionModel, recording: Recording) -> tuple[Effect, ...]:
