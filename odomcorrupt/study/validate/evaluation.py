@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import accumulate
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.effects.random_processes import autoregression
 from odomcorrupt.study.estimate.noise_likelihood import VarianceComponents, fit_noise
 from odomcorrupt.study.estimate.problem import Problem, pose_problem
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, widened
@@ -41,20 +41,12 @@ def random_covariance(random: Sequence[Effect], windows: Intervals, motion: Moti
 
 def _of_gain(gain: RandomCoefficient, windows: Intervals, motion: Motion) -> Array:
     moved = windows.carried(gain.f * motion.dt_s[:, None])
-    keep = gain.keep[windows.source] ** windows.share
-    steps = zip(gain.keep.tolist(), gain.kick.tolist(), strict=True)
-    each = accumulate(steps, lambda variance, step: step[0] * step[0] * variance + step[1], initial=gain.start)
-    variance = np.array([*each][1:])[windows.source]
-    last = np.zeros(len(keep), dtype=bool)
-    last[np.concatenate((windows.first[1:] - 1, [len(keep) - 1]))] = True
-    later = np.zeros_like(moved)
-    sums = [0.0, 0.0, 0.0]
-    rows = zip(*moved.tolist(), keep.tolist(), last.tolist(), strict=True)
-    for place, (along, across, yaw, kept, ends) in reversed(list(enumerate(rows))):
-        sums = [0.0, 0.0, 0.0] if ends else sums
-        later[:, place] = sums
-        sums = [kept * (s + c) for s, c in zip(sums, (along, across, yaw), strict=True)]
-    both = moved[:, None] * (later + 0.5 * moved)[None]
+    variance = autoregression(gain.start, gain.keep**2, gain.kick)[windows.source]
+    # what each step moves together with those after it in its window, of which the gain keeps a part
+    keeps = np.append((gain.keep[windows.source] ** windows.share)[1:], 0.0)
+    keeps[windows.first[1:] - 1] = 0.0
+    with_later = np.stack([autoregression(0.0, keeps[::-1], row[::-1])[::-1] for row in moved])
+    both = moved[:, None] * (with_later - 0.5 * moved)[None]
     outer = variance * (both + np.swapaxes(both, 0, 1))
     return np.ascontiguousarray(np.moveaxis(np.add.reduceat(outer, windows.first, axis=2), 2, 0))
 
