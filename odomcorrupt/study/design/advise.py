@@ -32,8 +32,6 @@ _LARGE = 2.0
 """Multiple of its typical size from which an effect has to be detectable; smaller limits are stated as such."""
 _RULER_ERRORS = 2.0
 """An unnamed scale of the wheels is reported if it exceeds this many standard errors of the laser's scale."""
-MASKED = 4.0
-"""An included term masks an effect if it increases the effect's standard error by this factor."""
 _NO_TRACK = (
     "it acts on single wheels, and the distance between these is not known; give --track where the robot has two that "
     "drive and steer it"
@@ -99,32 +97,11 @@ def untestable(drives: Drives, candidate: Candidate) -> UntestableEffect:
     def shows(drive: Field) -> float:
         return float(np.min(0.5 * (typical / sizes(effect, beside, [drives.recorded, drive])) ** 2))
 
-    return hidden(drives, type(effect), shows, _short_of(candidate), _masks(drives, effect, beside))
-
-
-def hidden(drives: Drives, kind: type[Effect], shows: Gain, short_of: str, masks: Sequence[str]) -> UntestableEffect:
-    """Return why an effect cannot be tested on these drives, and the drive on which it could.
-
-    shows : expected nats of another drive
-    short_of : the reason if no motion is missing
-    masks : names of the terms that mask the effect
-    """
     plan, nats = best_plan(drives, shows)
-    why = missing_motion(drives, shows, nats) or short_of
-    why += f", and on this drive it resembles {' and '.join(masks)}" if masks else ""
+    why = missing_motion(drives, shows, nats) or _short_of(candidate)
     if nats < 0.5 * FOUND**2:
-        return UntestableEffect(kind.name, why, None, kind.about.drive if kind.about else "")
-    return UntestableEffect(kind.name, why, plan, shows=shows)
-
-
-def _masks(drives: Drives, effect: Effect, beside: Sequence[Effect]) -> list[str]:
-    """Return the included terms that mask an effect: without them its standard error would be far smaller."""
-
-    def error(others: Sequence[Effect]) -> float:
-        return float(np.max(sizes(effect, others, [drives.recorded])))
-
-    now = error(beside)
-    return [e.name for e in beside if MASKED * error([o for o in beside if o is not e]) < now]
+        return UntestableEffect(effect.name, why, None, effect.about.drive if effect.about else "")
+    return UntestableEffect(effect.name, why, plan, shows=shows)
 
 
 def _short_of(candidate: Candidate) -> str:

@@ -54,7 +54,6 @@ class Clocks:
     margins_nats : log-likelihood gain of a clock over each effect beside which it is not significant
     truths : noise of each recording's truth, from the fit of its clock
     left_nats : log-likelihood gain of dependences on accelerations beside the clocks
-    held : names of recordings that cannot tell their clock: it is the mean of the others', or zero
     """
 
     clocks: tuple[Clock, ...]
@@ -65,7 +64,6 @@ class Clocks:
     margins_nats: tuple[float, ...] = ()
     truths: tuple[TruthNoise, ...] = ()
     left_nats: float = 0.0
-    held: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +122,6 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach, beside: Seq
         longest.fit.noise.free,
         tuple(e for e in longest.fit.next_effects if e.name in _NUISANCE),
         truths=tuple(f.fit.noise.truth for f in each),
-        held=tuple(r.name for r, own in zip(recordings, each, strict=True) if own is common),
     )
 
 

@@ -59,7 +59,8 @@ def time_windows(recording: Recording, length_s: float = WINDOW_S, phase: float 
 def _time_ends(recording: Recording, length_s: float, phase: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return indices of truth samples at which windows begin and end, and of the complete windows between them.
 
-    A window begins where the one before ends, or at the first sample from which one is complete, to a tenth.
+    A window begins where the one before ends, on one grid, or at the first sample from which one is complete, to a
+    tenth.
     """
     odo_s, truth_s = recording.odometry_s, recording.truth_s
     first_s = odo_s[0] + phase * length_s
@@ -68,11 +69,15 @@ def _time_ends(recording: Recording, length_s: float, phase: float) -> tuple[NDA
     ends = np.minimum(np.searchsorted(usable_s, usable_s + length_s - 1e-9), len(usable_s) - 1)
     starts = np.flatnonzero(np.abs(usable_s[ends] - usable_s - length_s) < 0.1 * length_s)
     picked, complete = list[int](), list[int]()
-    at = 0
-    while (number := int(np.searchsorted(starts, at))) < len(starts):
-        begin, at = int(starts[number]), int(ends[starts[number]])
-        if not picked or picked[-1] != begin:
+    at, grid_s = -1, 0.0
+    for begin in starts.tolist():
+        if begin < at:
+            continue
+        if begin > at:
             picked.append(begin)
+            grid_s = usable_s[begin]
+        grid_s += length_s
+        at = min(int(np.searchsorted(usable_s, grid_s - 1e-9)), len(usable_s) - 1)
         complete.append(len(picked) - 1)
         picked.append(at)
     return usable[picked or slice(1)], np.array(complete, dtype=np.int64)
