@@ -175,7 +175,6 @@ def twin_hint(name, values, monkeypatch):
         alternatives=(),
         candidates=(SimpleNamespace(score=SimpleNamespace(effect=effect), fitted=None, refused=""),),
     )
-    monkeypatch.setattr("odomcorrupt.study.design.advise._equivalents", lambda *_: [])
     choices = open_ambiguities(SimpleNamespace(learned=learned(effect)), look)
     return next(choice.hint for choice in choices if name in choice.names)
 

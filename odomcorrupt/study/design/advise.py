@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.effect import amplitudes, choices, parameters
+from odomcorrupt.effects.effect import amplitudes, choices
 from odomcorrupt.effects.wheels import brings_track
 from odomcorrupt.study.design.drives import ENOUGH_NATS, Drives, best_plan, missing_motion, most_useful
 from odomcorrupt.study.design.information import separation, sizes
 from odomcorrupt.study.estimate.drive_type import GAINS_OF_TURNS, readings_of
 from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.terms.basis import VALUES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -187,15 +186,12 @@ def open_ambiguities(drives: Drives, step: Step) -> list[Ambiguity]:
     kinds = registry()
     rivals = {c.score.effect.name: c for c in step.candidates}
     names = [n for n in step.alternatives if n in rivals]
-    equivalents = [c.score.effect.name for c in _equivalents(drives, step) if c.score.effect.name not in names]
     found = []
-    for name in (*names, *equivalents):
+    for name in names:
         pair = (rivals[step.added], rivals[name])
         one, other = ((_as_fitted(c),) for c in pair)
         gain = _gain_of(drives, one, other, max(c.score.inflation for c in pair))
-        choice = _ambiguity(drives, (step.added, name), gain)
-        if choice.plan is not None or name in names:
-            found.append(choice)
+        found.append(_ambiguity(drives, (step.added, name), gain))
     if drives.learned.may_be_losses(step.added):
         found.append(Ambiguity((step.added, "lost_increments"), "", None, 0.0, _LOSSES_HINT))
     said = {step.added, *(name for choice in found for name in choice.names)}
@@ -217,42 +213,6 @@ def _correction_hint(drives: Drives, twin: type[Effect]) -> str:
         f"if it is the robot and not where the truth is taken, a correction removes it only as {twin.name}: "
         f"give `correct` --effect {twin.name}:{values}"
     )
-
-
-def _equivalents(drives: Drives, step: Step) -> list[Candidate]:
-    """Return candidates that would explain the included effect and are no alternatives only because of their penalty.
-
-    Of two equivalent effects the one with fewer parameters is more probable, but the data do not separate them. An
-    effect that needs a shape parameter for it (a patch as large as the floor) is the same effect and is left out.
-    """
-    added = step.candidates[0]
-    effect = _as_fitted(added)
-    beside = [e for e in drives.learned.fit.effects if e.name != effect.name]
-    others = [c for c in step.candidates[1:] if all(p.amplitude for p in parameters(c.score.effect))]
-    possible = [c for c in others if c.refused in ("", _NOT_FITTED)]
-    return [
-        c
-        for c in possible
-        if separation((effect,), (c.score.effect,), [e for e in beside if e.name != c.name], [drives.recorded])
-        < drives.learned.decisions.alternative_nats * max(added.score.inflation, c.score.inflation)
-    ]
-
-
-def dependence_ambiguities(drives: Drives) -> list[Ambiguity]:
-    """Return effects that a dependence on the motion may explain, if a drive resolves it.
-
-    Whether an error depends on time or place is not a question of the manoeuvre, so no drive is planned for it.
-    """
-    effects = drives.learned.fit.effects
-    found = []
-    for rival in drives.learned.unknown:
-        one = [effect for effect in effects if effect.name in rival.instead_of]
-        if not one or rival.regressor not in VALUES.keys() - {"time", "distance"}:
-            continue
-        gain = _gain_of(drives, one, (rival.score.estimated,), rival.score.inflation)
-        words = f"a dependence of {rival.channel} on {rival.regressor.replace('_', ' ')}"
-        found.append(_ambiguity(drives, (" and ".join(effect.name for effect in one), words), gain))
-    return [choice for choice in found if choice.plan is not None]
 
 
 def _gain_of(drives: Drives, one: Sequence[Effect], other: Sequence[Effect], inflation: float) -> Gain:
@@ -309,7 +269,7 @@ class Advice:
 def advise(learned: Learned) -> Advice:
     """Return the questions that these data leave open, and the drives that would answer them."""
     drives = Drives(learned)
-    choices = dependence_ambiguities(drives)
+    choices = list[Ambiguity]()
     for step in learned.steps:
         choices += open_ambiguities(drives, step)
     last = learned.rounds[-1]
