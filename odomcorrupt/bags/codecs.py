@@ -6,7 +6,7 @@ import bz2
 import threading
 from contextlib import suppress
 from io import BytesIO
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import lz4.frame
 import numpy as np
@@ -47,11 +47,6 @@ class Packed:
 
     def __init__(self, source: Source, size: int, what: str) -> None:
         self._source, self.left, self._what = source, size, what
-
-    @classmethod
-    def in_memory(cls, data: memoryview) -> Self:
-        """Return the same for compressed bytes in memory."""
-        return cls(Source(BytesIO(data), "memory"), len(data), "chunk")
 
     def read(self, size: int) -> memoryview:
         """Return the next bytes, fewer at the end; valid until the source is read again."""
@@ -271,7 +266,7 @@ def decompress(
         return placed
     budget = Budget() if budget is None else budget
     if codec == "bz2" or size > ARENA_BYTES or (codec == "zstd" and not _is_one_frame(data, size)):
-        pieces = unpacked(codec, Packed.in_memory(data), size, what, budget)
+        pieces = unpacked(codec, Packed(Source(BytesIO(data), "memory"), len(data), "chunk"), size, what, budget)
         placed, came = pool.place(size), 0
         for piece in pieces:
             placed.data[came : came + len(piece)] = piece

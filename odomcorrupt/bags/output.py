@@ -31,8 +31,8 @@ _LEFT = re.compile(r"\.(?P<name>.*)\.(?P<host>[0-9a-f]{8})\.(?P<pid>\d{1,9})\.[0
 """A hidden name, or that of what sqlite3 has beside it."""
 _LONGEST_BYTES = 180
 """What is taken over of a name: file systems allow 255 bytes."""
-_NO_REPLACE, _EXCHANGE = 1, 2
-"""Flags of renameat2(2), as Linux's fs.h has them."""
+_NO_REPLACE, _EXCHANGE, _KEEP_SIZE = 1, 2, 1
+"""Flags of renameat2(2) and of fallocate(2), as Linux's fs.h and falloc.h have them."""
 _HERE = -100
 """AT_FDCWD: paths are relative to the working directory."""
 _UNKNOWN = (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP, errno.EPERM)
@@ -175,8 +175,6 @@ def _rename_flagged(partial: Path, path: Path, flag: int) -> bool:
     raise OSError(code, os.strerror(code), str(path))
 
 
-_KEEP_SIZE = 1
-"""Flag of fallocate(2): room is reserved, the size stays."""
 _AT_ONCE_BYTES = 16 << 20
 """Bytes copied by one system call; an interrupt waits for the end of a call."""
 
@@ -220,7 +218,9 @@ class FileCopy:
         self._ended = self._stopped = False
         self._progress = threading.Condition()
         self._paused = paused or threading.Lock()
-        _reserve(target, self._state[0])
+        # with its room reserved, a copy takes half the kernel's time on ext4; posix_fallocate writes where it cannot
+        if reserve := getattr(ctypes.CDLL(None), "fallocate", None) if sys.platform == "linux" else None:
+            reserve(target, _KEEP_SIZE, ctypes.c_long(0), ctypes.c_long(self._state[0]))
         self._thread = threading.Thread(target=self._run, name="copy", daemon=True)
         self._thread.start()
 
@@ -262,16 +262,6 @@ class FileCopy:
         with self._progress:
             self._ended = True
             self._progress.notify_all()
-
-
-def _reserve(descriptor: int, size: int) -> None:
-    """Have the file system find the room of a file at once: on ext4 a copy into it then takes half the kernel's time.
-
-    Not posix_fallocate, which writes to every block where a file system cannot do this.
-    """
-    call = getattr(ctypes.CDLL(None), "fallocate", None) if sys.platform == "linux" else None
-    if call is not None:  # an error, as of a disk that is nearly full, is that of a later write, if it is one
-        call(descriptor, _KEEP_SIZE, ctypes.c_long(0), ctypes.c_long(size))
 
 
 _AT_POSITIONS = hasattr(os, "pwrite")

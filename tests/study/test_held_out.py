@@ -41,9 +41,8 @@ from odomcorrupt.study.select.random_effects import DetectedRandomEffect
 from odomcorrupt.study.select.result import Learned, Step
 from odomcorrupt.study.select.selection import learn
 from odomcorrupt.study.select.shape_search import CoarseDesign, ShapeSearch
-from odomcorrupt.study.terms.basis import basis_functions
+from odomcorrupt.study.terms.basis import basis_functions, curve_regressors
 from odomcorrupt.study.terms.channels import actions_on, every_action
-from odomcorrupt.study.terms.splines import curve_regressors
 from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm, library_families, neighbours
 from odomcorrupt.study.validate.compare import clocks_beside, compare
 from odomcorrupt.study.validate.held_out import drop_unsupported_parts, without_parts

@@ -20,21 +20,6 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel, Origin
 
 
-@dataclass(frozen=True, slots=True)
-class PoseStep:
-    """A lasting step between odometry and truth: a push or a lift, left out of all intervals.
-
-    start_s, end_s : times since the recording's origin, seconds
-    apart : truth minus odometry, forwards and to the left in metres, counter-clockwise in radians
-    place_xy : position of the truth at the start, m
-    """
-
-    start_s: float
-    end_s: float
-    apart: tuple[float, float, float]
-    place_xy: tuple[float, float]
-
-
 class Mistake(NamedTuple):
     """A plain mistake that was found.
 
@@ -84,7 +69,6 @@ class Recording:
         neither lever arm nor mounting yaw
     truth_correlation_m : travel over which the truth's errors decorrelate to 1/e; 0 if independent; None if not
         estimated yet, which counts as 0
-    pose_steps : lasting steps between odometry and a localisation
     pulled_per_s : decay rate of the odometry's errors towards the truth, as of a filter that receives poses, 1/s
     pose_corrections : number of steps of such a filter that were removed from the odometry
     truth_level : noise of the truth relative to the median of a study's recordings, position and heading
@@ -117,7 +101,6 @@ class Recording:
     in_map: bool = False
     of_base: bool = False
     truth_correlation_m: float | None = None
-    pose_steps: tuple[PoseStep, ...] = ()
     pulled_per_s: float = 0.0
     pose_corrections: int = 0
     yaw_dead_band_radps: float = 0.0

@@ -19,7 +19,7 @@ from odomcorrupt.study.estimate.problem import by_column
 from odomcorrupt.study.io.recording import shared_frame
 from odomcorrupt.study.select.dictionary import ClockChoice, ClockTerm, linearised
 from odomcorrupt.study.select.evidence import project_out, scores_of
-from odomcorrupt.study.terms.splines import curve_regressors
+from odomcorrupt.study.terms.basis import curve_regressors
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
