@@ -293,30 +293,37 @@ class Look:
         one, other = (moving(np.hypot(x[:, 0], x[:, 1])) for x in pair)
         return np.asarray(one & steady_motion(other & (np.abs(pair[0][:, 1]) < 0.3 * np.abs(pair[0][:, 0]))))
 
+    @cached_property
+    def sampled(self) -> list[tuple[Array, Array, float]]:
+        """Times (k,), rates (k, 2) of travel and turns, and the step between them, s, of each of the two."""
+        origin, starts, found = int(self.paths[0].stamps_ns[0]), self.motions[2], []
+        both = [travel_of(path, origin) for path in self.paths]
+        for i, path in enumerate(both):
+            step_s = float(np.clip(3e-9 * np.median(np.diff(self.paths[i].stamps_ns)), _GRID_S, 0.5))
+            t_s = np.arange(path.t_s[0], path.t_s[-1] - step_s, step_s)
+            rates = path.within(t_s, step_s)[:, ::2] / step_s
+            if not self.paths[1].headed:  # speeds of positions have the sign of the odometry's
+                ahead = both[0].within(t_s + (starts[0] - starts[1])[0], step_s)[:, 0] if i else rates[:, 0]
+                rates[:, 0] = np.where(ahead < 0.0, -1.0, 1.0) * np.abs(rates[:, 0])
+            found.append((t_s, rates, step_s))
+        return found
+
     def rates(self, i: int, lag_s: tuple[float, float] | None = None) -> tuple[Array, Callable[[Array], Array]]:
         """Return rates (k, 2) of travel and turns of one of the two, and their sums (n, 2) in steady windows.
 
         lag_s : time constant of a low-pass filter of the rates, and by how much later windows begin; those of `lags_s`
             by default
         """
-        origin, starts = int(self.paths[0].stamps_ns[0]), self.motions[2]
-        path, other = (travel_of(self.paths[k], origin) for k in (i, 1 - i))
-        step_s = float(np.clip(3e-9 * np.median(np.diff(self.paths[i].stamps_ns)), _GRID_S, 0.5))
-        t_s = np.arange(path.t_s[0], path.t_s[-1] - step_s, step_s)
-        rates = path.within(t_s, step_s)[:, ::2] / step_s
-        if not self.paths[1].headed:  # speeds of positions have the sign of the odometry's
-            ahead = other.within(t_s + (starts[1 - i] - starts[i])[0], step_s)[:, 0] if i else rates[:, 0]
-            rates[:, 0] = np.where(ahead < 0.0, -1.0, 1.0) * np.abs(rates[:, 0])
+        t_s, rates, step_s = self.sampled[i]
         time_s, later_s = lag_s or self.lags_s[i]
         keeps = np.exp(-step_s / max(time_s, 1e-3))
-        rates = np.asarray(lfilter((1.0 - keeps,), (1.0, -keeps), rates, axis=0))
-        edges = np.append(t_s, t_s[-1] + step_s)
+        edges, starts_s = np.append(t_s, t_s[-1] + step_s), self.motions[2][i][self.steady] + later_s
 
         def sums(of: Array) -> Array:
             whole = np.concatenate((np.zeros((1, 2)), np.cumsum(of * step_s, axis=0)))
-            return Travel(edges, whole).within(starts[i][self.steady] + later_s, self.window_s)
+            return Travel(edges, whole).within(starts_s, self.window_s)
 
-        return rates, sums
+        return np.asarray(lfilter((1.0 - keeps,), (1.0, -keeps), rates, axis=0)), sums
 
     @cached_property
     def lags_s(self) -> list[tuple[float, float]]:
