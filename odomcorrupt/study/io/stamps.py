@@ -92,7 +92,8 @@ def _steps_of_motion(path: Samples, interval: Array, usual_s: float) -> list[Ste
     with np.errstate(all="ignore"):  # positions and headings are not checked yet
         gone = np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
         motions = np.stack((gone, np.abs(wrap(np.diff(path.yaw_rad)))) if path.headed else (gone,), axis=1)
-    found, waits, usual = list[Step](), 0, np.percentile(motions, 80.0, axis=0)
+        usual = np.percentile(motions, 80.0, axis=0)
+    found, waits = list[Step](), 0
     for i in np.flatnonzero((interval > max(GAP_S, GAP_STEPS * usual_s)) & (interval < _FORWARD_S)):
         rows = np.r_[max(i - _BESIDE, 0) : i, i + 1 : i + 1 + _BESIDE] % len(motions)
         beside, regular = motions[rows], np.all(np.abs(interval[rows] - usual_s) < _TOLERANCE * usual_s)
