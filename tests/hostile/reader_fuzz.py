@@ -183,7 +183,11 @@ class ReaderFuzz:
         harmed = self._harmed(data, rng)[: 1 << 16]
         if rng.random() < 0.3:
             size = int(2 ** rng.uniform(0, 34))
-        begun = b"".join(beginning(codec, Packed.in_memory(harmed), Source(io.BytesIO(), "").budget))
+        begun = b"".join(
+            beginning(
+                codec, Packed(Source(io.BytesIO(harmed), ""), len(harmed), "chunk"), Source(io.BytesIO(), "").budget
+            )
+        )
         try:
             out = decompress(codec, memoryview(harmed), size, "chunk", BufferPool())
         except OdomCorruptError:
