@@ -1,6 +1,6 @@
 """Folds of the fitted recordings for cross-validation: a model is refitted without a fold and evaluated on it.
 
-Folds are whole runs, or the halves of the way of a single one; a refit uses all others together, because a single run
+Folds are whole runs, or the halves of a single one; a refit uses all others together, because a single run
 may not show every effect. It is weakly held by the fit of all recordings, so that an effect that the others do not show
 stays where it was. Folds depend neither on the names of the recordings nor on their order.
 """
@@ -122,7 +122,7 @@ def _runs(recordings: Sequence[Recording]) -> list[list[int]]:
 
 
 def _middle(run: Sequence[Recording]) -> int:
-    """Return the stamp at which a run has gone half of its way."""
+    """Return the stamp of a run's middle in time, or in distance if one of its halves would hardly move."""
     every, gone = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
     for recording in run:
         inside = recording.within_odometry
@@ -133,8 +133,9 @@ def _middle(run: Sequence[Recording]) -> int:
     if not len(stamps):
         raise RecordingError(f"{run[0].name}: odometry and truth have no time in common; check the two clocks")
     order = np.argsort(stamps, kind="stable")
-    distance_m = np.cumsum(np.concatenate(gone)[order])
-    return int(stamps[order][np.searchsorted(distance_m, 0.5 * distance_m[-1])])
+    stamps, distance_m = stamps[order], np.cumsum(np.concatenate(gone)[order])
+    rests = not 0.25 <= distance_m[len(stamps) // 2] / max(distance_m[-1], 1e-9) <= 0.75
+    return int(stamps[np.searchsorted(distance_m, 0.5 * distance_m[-1]) if rests else len(stamps) // 2])
 
 
 def _halves(
