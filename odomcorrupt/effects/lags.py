@@ -51,7 +51,7 @@ class ChannelLag(Effect):
         drive="speed up and brake on straights, and turn on the spot briskly: a late clock delays both alike",
     )
 
-    tau: float = parameter("s", "time constant of the filter, or the delay", low=0.0, high=5.0, typical=0.05)
+    tau: float = parameter("s", "time constant of the filter, or the delay", low=0.0, high=1.0, typical=0.05)
     channel: str = choice("what comes late", "yaw", "along", "all")
     by: str = choice("what makes it late", "filter", "delay")
 
