@@ -34,7 +34,7 @@ def interruptible():
 
 
 @pytest.fixture
-def told(capsys):
+def invoke(capsys):
     """Return a function of a command line: what it prints on stdout and stderr; it has to end with the given code."""
     from odomcorrupt.cli import run
 

@@ -47,8 +47,8 @@ def require_refused(done, code, sentence):
     assert not target.exists()
 
 
-def test_the_top_help_shows_the_default_commands_options_and_every_command(told):
-    text = told(["--help"]).out
+def test_the_top_help_shows_the_default_commands_options_and_every_command(invoke):
+    text = invoke(["--help"]).out
     default = cli.get_command(click.Context(cli), "corrupt")
     for option in default.params:
         if isinstance(option, click.Option):
@@ -70,9 +70,9 @@ def test_help_needs_none_of_the_heavy_libraries():
     assert done.stdout.splitlines()[-1] == "[]"
 
 
-def test_version_and_no_arguments(told):
-    assert told(["--version"]).out == f"odomcorrupt {odomcorrupt.__version__}\n"
-    assert "Usage: odomcorrupt [OPTIONS] INPUT OUTPUT" in told([], 2).err
+def test_version_and_no_arguments(invoke):
+    assert invoke(["--version"]).out == f"odomcorrupt {odomcorrupt.__version__}\n"
+    assert "Usage: odomcorrupt [OPTIONS] INPUT OUTPUT" in invoke([], 2).err
 
 
 @pytest.mark.parametrize("first", [[], ["corrupt"], ["--"], ["--run", "0"]])
@@ -134,9 +134,9 @@ def test_a_seed_is_drawn_printed_and_repeats_the_run(corrupt):
     ("1e-3 2e-3 3e-3 4e-3 5e-3 6e-3", "velocity", "rot_rot 0.004 rot_trans 0.003 trans_trans 0.001 trans_"),
     ("1e-3 2e-3 3e-3 4e-3", "velocity", "end_trans 0 end_rot 0")],
 )  # fmt: skip
-def test_alpha_takes_as_many_numbers_as_the_law_has_wherever_it_stands(tmp_path, told, alphas, law, said_back):
+def test_alpha_takes_as_many_numbers_as_the_law_has_wherever_it_stands(tmp_path, invoke, alphas, law, said_back):
     target = tmp_path / "out.mcap"
-    assert said_back in told(["--law", law, "--alpha", *alphas.split(), OFFICE, target, "-v", "--seed", "1"]).err
+    assert said_back in invoke(["--law", law, "--alpha", *alphas.split(), OFFICE, target, "-v", "--seed", "1"]).err
     assert run([OFFICE, str(target), "--overwrite", "--law", law, "--seed", "1", "--alpha", *alphas.split()]) == 0
 
 
@@ -247,15 +247,15 @@ def stopping(error):
 @pytest.mark.parametrize(
     ("error", "code", "said"), [(KeyboardInterrupt(), 130, "interrupted: nothing"), (BagError("a\nb"), 1, "a b\n")]
 )
-def test_interrupts_and_errors_end_with_their_code(monkeypatch, told, error, code, said):
+def test_interrupts_and_errors_end_with_their_code(monkeypatch, invoke, error, code, said):
     monkeypatch.setattr("odomcorrupt.api.corruption.corrupt_bag", stopping(error))
-    assert told([OFFICE, "out.mcap"], code).err.strip().startswith(f"odomcorrupt: {said.strip()}")
+    assert invoke([OFFICE, "out.mcap"], code).err.strip().startswith(f"odomcorrupt: {said.strip()}")
 
 
-def test_a_terminal_is_not_fed_with_bytes(monkeypatch, told):
+def test_a_terminal_is_not_fed_with_bytes(monkeypatch, invoke):
     monkeypatch.setattr(sys, "stdout", io.StringIO())
     sys.stdout.isatty = lambda: True
-    assert "stdout is a terminal" in told([OFFICE, "-"], 2).err
+    assert "stdout is a terminal" in invoke([OFFICE, "-"], 2).err
 
 
 def completed(words):
@@ -265,9 +265,9 @@ def completed(words):
 
 
 def test_the_shell_completes_commands_options_and_files():
-    told = {"_ODOMCORRUPT_COMPLETE": "bash_complete", "COMP_WORDS": "odomcorrupt pre", "COMP_CWORD": "1"}
+    invoke = {"_ODOMCORRUPT_COMPLETE": "bash_complete", "COMP_WORDS": "odomcorrupt pre", "COMP_CWORD": "1"}
     line = [sys.executable, "-m", "odomcorrupt"]
-    done = subprocess.run(line, env=os.environ | told, capture_output=True, text=True, check=False)
+    done = subprocess.run(line, env=os.environ | invoke, capture_output=True, text=True, check=False)
     assert done.stdout.splitlines() == completed("odomcorrupt pre")
     assert "plain,preview" in completed("odomcorrupt pre")
     assert {"plain,--seed", "plain,--version"} <= set(completed("odomcorrupt --"))
@@ -284,16 +284,16 @@ def test_the_shell_completes_commands_options_and_files():
         assert set(completed(f"odomcorrupt {words} gyro")) == gyro
 
 
-def test_data_that_end_early_are_no_interruption(monkeypatch, told):
+def test_data_that_end_early_are_no_interruption(monkeypatch, invoke):
     def ends(*_, **__):
         raise EOFError("data too short")
 
     monkeypatch.setattr("odomcorrupt.cli.cli.invoke", ends)
-    assert told(["in.mcap", "out.mcap"], 1).err.strip() == "odomcorrupt: a file ended early: data too short"
+    assert invoke(["in.mcap", "out.mcap"], 1).err.strip() == "odomcorrupt: a file ended early: data too short"
 
 
 @pytest.mark.parametrize("name", ["compare", "diagnose", "fit", "learn"])
-def test_the_help_of_a_study_begins_with_what_most_recordings_need(name, told):
-    options = re.findall(r"^  (?:-\w, )?(--[a-z-]+)", told([name, "--help"]).out, re.MULTILINE)
+def test_the_help_of_a_study_begins_with_what_most_recordings_need(name, invoke):
+    options = re.findall(r"^  (?:-\w, )?(--[a-z-]+)", invoke([name, "--help"]).out, re.MULTILINE)
     assert [option for option in options if option != "--output"][:3] == ["--truth", "--track", "--odom"]
     assert "--output" not in options[1:]

@@ -219,9 +219,9 @@ def test_options_are_replaced_and_names_of_files_are_not(text, said):
     assert (str(BagError(text)), BagError(text).message) == (said, text)
 
 
-def test_the_same_error_names_the_option_on_the_command_line(tmp_path, told):
+def test_the_same_error_names_the_option_on_the_command_line(tmp_path, invoke):
     with pytest.raises(TopicError, match=r"name another one with odom_topic$"):
         oc.corrupt(BAG, tmp_path / "a.mcap", odom_topic="/none")
-    assert "name another one with --odom-topic\n" in told([BAG, tmp_path / "a.mcap", "--odom-topic", "/none"], 1).err
+    assert "name another one with --odom-topic\n" in invoke([BAG, tmp_path / "a.mcap", "--odom-topic", "/none"], 1).err
     with pytest.raises(TopicError, match=r"name another one with odom_topic$"):
         oc.corrupt(BAG, tmp_path / "a.mcap", odom_topic="/none")

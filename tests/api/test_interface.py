@@ -80,9 +80,9 @@ def test_a_path_of_numbers_is_corrupted_as_the_bag_is(tmp_path):
     ],
     ids=["plain", "noise", "topics"],
 )
-def test_integrated_odometry_is_that_of_the_command_line(options, arguments, tmp_path, told):
+def test_integrated_odometry_is_that_of_the_command_line(options, arguments, tmp_path, invoke):
     words = ["integrate", OFFICE, tmp_path / "b.mcap", *options.split(), "--plot", tmp_path / "b.png"]
-    values = json.loads(told([*words, "--json"]).out)
+    values = json.loads(invoke([*words, "--json"]).out)
     done = oc.integrate(OFFICE, **arguments)
     assert done.to_dict() == values
     assert done.save(tmp_path / "a.mcap").messages == len(done.rows()) == 3000
@@ -106,10 +106,10 @@ def test_integrated_odometry_has_its_runs_and_its_errors():
 
 
 @pytest.mark.slow
-def test_maps_by_odometry_are_those_of_the_command_line(tmp_path, told):
+def test_maps_by_odometry_are_those_of_the_command_line(tmp_path, invoke):
     options = [*ALPHA, "--seed", "7", "--run", "2", "--resolution", "0.2"]
     more = ["--max-yaw-rate", "0.5", "--truth", "/odom", "--laser-pose", "0.1,0,0.1"]
-    values = json.loads(told(["map", OFFICE, "-o", tmp_path / "b.png", *options, *more, "--json"]).out)
+    values = json.loads(invoke(["map", OFFICE, "-o", tmp_path / "b.png", *options, *more, "--json"]).out)
     stages = []
     done = oc.draw_maps(
         OFFICE, NOISE, seed=7, run=2, resolution=0.2, max_yaw_rate=0.5, truth="/odom", laser_pose=(0.1, 0.0, 0.1),
@@ -175,12 +175,12 @@ def test_a_result_is_small_to_print_and_whole_as_values(tmp_path):
             replace(one, target="-").plot(tmp_path / "a.png")
 
 
-def test_corrupting_again_is_said(tmp_path, told):
+def test_corrupting_again_is_said(tmp_path, invoke):
     oc.corrupt(OFFICE, tmp_path / "a.mcap", model=NOISE, seed=7)
     again = oc.corrupt(tmp_path / "a.mcap", tmp_path / "b.mcap", model=NOISE, seed=8)
     assert again.earlier[0]["seed"] == "7"
     assert "was corrupted before (seed 7" in str(again)
-    stored = json.loads(told(["info", tmp_path / "b.mcap", "--json"]).out)["provenance"]
+    stored = json.loads(invoke(["info", tmp_path / "b.mcap", "--json"]).out)["provenance"]
     assert [(one["seed"], one["run"]) for one in stored] == [("7", "0"), ("8", "0")]
     assert all("rot_trans = 0.02" in one["model"] for one in stored)
 
@@ -361,17 +361,17 @@ STATED = {
 
 
 @pytest.mark.parametrize("name", [*READS, *STATED])
-def test_values_texts_and_pictures_are_those_of_the_command_line(name, tmp_path, monkeypatch, told):
+def test_values_texts_and_pictures_are_those_of_the_command_line(name, tmp_path, monkeypatch, invoke):
     monkeypatch.chdir(tmp_path)
     Path("robot.toml").write_text(MODEL_FILE)
     if name == "spread":
         oc.batch(OFFICE, "runs", model=NOISE, runs=3, seed=1, output="trajectories")
     call, words = (READS | STATED)[name]
     result = call()
-    assert json.loads(told([*words, "--json"]).out) == json.loads(json.dumps(result.to_dict()))
-    assert told([*words, "-v"]).out.startswith(result.details() + "\n")
+    assert json.loads(invoke([*words, "--json"]).out) == json.loads(json.dumps(result.to_dict()))
+    assert invoke([*words, "-v"]).out.startswith(result.details() + "\n")
     assert len(result.rows()) > 3 * (name in READS)
-    shown, own = (text.partition("\nnext")[0].rstrip().splitlines() for text in (told(words).out, str(result)))
+    shown, own = (text.partition("\nnext")[0].rstrip().splitlines() for text in (invoke(words).out, str(result)))
     shown = [line for line in shown if "more line" not in line]  # the next command takes a line or two of eight
     if words[0] != "export":  # which prints the YAML, condensed
         assert own[: len(shown)] == shown

@@ -172,9 +172,9 @@ def test_a_ros_1_mcap_on_a_pipe_becomes_a_ros_2_directory(short, tmp_path):
     assert sum(len(table) for table, _ in blocks) == len(rows(short[2]))
 
 
-def test_a_topic_that_cannot_be_converted_is_named_with_the_way_out(tmp_path, told):
+def test_a_topic_that_cannot_be_converted_is_named_with_the_way_out(tmp_path, invoke):
     source = FIXTURES / "incomplete.mcap"
-    said = told([source, tmp_path / "out.bag", *NOISE], 1).err.strip()
+    said = invoke([source, tmp_path / "out.bag", *NOISE], 1).err.strip()
     assert said.count("\n") == 0
     for part in ("/door", "office_msgs/msg/Door: ", "lacks that of office_msgs/msg/DoorState", "--exclude-topic /door"):
         assert part in said
@@ -184,8 +184,8 @@ def test_a_topic_that_cannot_be_converted_is_named_with_the_way_out(tmp_path, to
     assert run([str(source), str(tmp_path / "out.mcap"), *NOISE, "-q"]) == 0  # nothing has to be converted here
 
 
-def test_a_topic_to_leave_out_must_be_there(short, tmp_path, told):
-    assert "--exclude-topic /dor: " in told([short[2], tmp_path / "out", "--exclude-topic", "/dor", *NOISE], 1).err
+def test_a_topic_to_leave_out_must_be_there(short, tmp_path, invoke):
+    assert "--exclude-topic /dor: " in invoke([short[2], tmp_path / "out", "--exclude-topic", "/dor", *NOISE], 1).err
     assert run([str(short[2]), str(tmp_path / "out.mcap"), "--exclude-topic", "door", *NOISE, "-q"]) == 0
     assert "/door" not in {one.topic for one in mcap_messages(tmp_path / "out.mcap")}
 
@@ -196,15 +196,15 @@ def test_a_topic_to_leave_out_must_be_there(short, tmp_path, told):
     ("out.mcap", ("--storage", "sqlite3"), "--storage sqlite3 is for directories"),
     ("out.bag", ("--compression", "message"), "compression message: is not available for a ROS 1 bag")]
 )  # fmt: skip
-def test_what_a_format_cannot_have_is_refused(short, name, words, said, tmp_path, told):
-    assert said in told([short[1], tmp_path / name, *words, *NOISE], 1).err
+def test_what_a_format_cannot_have_is_refused(short, name, words, said, tmp_path, invoke):
+    assert said in invoke([short[1], tmp_path / name, *words, *NOISE], 1).err
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ["out.mcap", "-"])
-def test_messages_of_ros_2_do_not_become_an_mcap_of_ros_1_which_few_programs_read(short, name, tmp_path, told):
+def test_messages_of_ros_2_do_not_become_an_mcap_of_ros_1_which_few_programs_read(short, name, tmp_path, invoke):
     output = name if name == "-" else str(tmp_path / name)
-    said = told([short[2], output, "--ros", "1", "--exclude-topic", "/door", *NOISE], 1)
+    said = invoke([short[2], output, "--ros", "1", "--exclude-topic", "/door", *NOISE], 1)
     assert "which rosbags-convert and rosbag refuse to read; end the name in .bag for ROS 1" in said.err
     assert said.out == ""
     assert list(tmp_path.iterdir()) == []
@@ -277,7 +277,7 @@ def test_a_message_that_is_not_of_its_type_is_refused(data):
         new.convert(memoryview(data))
 
 
-def test_a_damaged_bag_is_saved_without_the_messages_that_are_not_of_their_type(tmp_path, told):
+def test_a_damaged_bag_is_saved_without_the_messages_that_are_not_of_their_type(tmp_path, invoke):
     source = tmp_path / "in.bag"
     odometry = next(one.data for one in ros1_messages(FIXTURES / "office.bag") if one.topic == "/odom")
     with Ros1LibraryWriter(source) as writer:
@@ -286,7 +286,7 @@ def test_a_damaged_bag_is_saved_without_the_messages_that_are_not_of_their_type(
         for number in range(20):
             writer.write(odom, 10**18 + number, odometry)
         writer.write(name, 10**18 + 30, b"\xff\xff\xff\xffno")
-    assert "/name cannot become messages of ROS 2" in told([source, tmp_path / "out.mcap", *NOISE], 1).err
+    assert "/name cannot become messages of ROS 2" in invoke([source, tmp_path / "out.mcap", *NOISE], 1).err
     assert run([str(source), str(tmp_path / "out.mcap"), "--recover", *NOISE]) == 3
     assert {row[0] for row in rows(tmp_path / "out.mcap")} == {"/odom"}
 

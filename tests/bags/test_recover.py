@@ -541,7 +541,7 @@ def test_a_part_of_ros_1_that_was_being_written_belongs_to_the_recording(tmp_pat
 
 @pytest.mark.parametrize("named", ["run_{}.bag", "run_2024-01-02-10-0{}-00_{}.bag"])
 @pytest.mark.parametrize("way", ["folder", "files", "pattern", "files, -o"])
-def test_parts_of_ros_1_are_one_drive(named, way, tmp_path, monkeypatch, capsys, told):
+def test_parts_of_ros_1_are_one_drive(named, way, tmp_path, monkeypatch, capsys, invoke):
     files = split(tmp_path / "in", "ros1", 3)
     whole = tmp_path / "whole.bag"
     write_part(whole, "ros1", range(3 * EACH))
@@ -554,7 +554,7 @@ def test_parts_of_ros_1_are_one_drive(named, way, tmp_path, monkeypatch, capsys,
     assert run(["whole.bag", "same.bag", "--seed", "3", "-q"]) == 0
     assert seen(tmp_path / "out.bag") == seen(tmp_path / "same.bag")
     assert capsys.readouterr().err == ""
-    assert "ODOMETRY  /odom" in told(["info", *words]).out
+    assert "ODOMETRY  /odom" in invoke(["info", *words]).out
     assert run(["batch", *words, "runs", "--runs", "1", "--seed", "3"]) == 0
     assert seen(tmp_path / "runs" / "run_000000.bag") == seen(tmp_path / "out.bag")
     assert ("3 inputs are the parts of one recording, in/run_" in capsys.readouterr().err) == way.startswith("files")
@@ -562,28 +562,30 @@ def test_parts_of_ros_1_are_one_drive(named, way, tmp_path, monkeypatch, capsys,
 
 @pytest.mark.parametrize("at", [0, 1, 2])
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
-def test_a_part_that_is_not_listed_is_said_and_recovered(storage, at, tmp_path, told):
+def test_a_part_that_is_not_listed_is_said_and_recovered(storage, at, tmp_path, invoke):
     files = split(tmp_path / "in", storage, 3)
     document = YAML(typ="safe").load((tmp_path / "in" / "metadata.yaml").read_text())
     document["rosbag2_bagfile_information"]["relative_file_paths"].remove(files[at].name)
     dump(document, tmp_path / "in")
     for words, done, count in (([], "left out; --recover reads", 2), (["--recover"], "read, as a part of", 3)):
-        said = " ".join(told([tmp_path / "in", tmp_path / f"out{count}", "--seed", "3", *words]).err.split())
+        said = " ".join(invoke([tmp_path / "in", tmp_path / f"out{count}", "--seed", "3", *words]).err.split())
         assert f"metadata.yaml does not list {files[at].name}: {done}" in said
         assert seen(tmp_path / f"out{count}").total() == count * 2 * EACH
 
 
-def test_under_recover_the_summary_says_what_is_lost_of_parts_and_of_metadata(tmp_path, capsys, told):
+def test_under_recover_the_summary_says_what_is_lost_of_parts_and_of_metadata(tmp_path, capsys, invoke):
     files = split(tmp_path / "in", "mcap", 3)
     files[2].write_bytes(b"")
-    assert "LOST      run_2.mcap is empty" in told([tmp_path / "in", tmp_path / "a", "--seed", "3", "--recover"], 3).err
+    assert (
+        "LOST      run_2.mcap is empty" in invoke([tmp_path / "in", tmp_path / "a", "--seed", "3", "--recover"], 3).err
+    )
     METADATA_DAMAGE["is cut"](tmp_path / "in" / "metadata.yaml")
     files[2].unlink()
     assert run([str(tmp_path / "in"), str(tmp_path / "b"), "--seed", "3", "--recover"]) == 3
     assert "LOST      metadata.yaml cannot be read" in capsys.readouterr().err
 
 
-def test_several_inputs_that_are_no_recording_are_refused_with_the_way_out(tmp_path, monkeypatch, capsys, told):
+def test_several_inputs_that_are_no_recording_are_refused_with_the_way_out(tmp_path, monkeypatch, capsys, invoke):
     monkeypatch.chdir(tmp_path)
     for name in ("a.bag", "b.bag", "c_0.bag", "c_1.bag", "c_2.bag"):
         write_part(tmp_path / name, "ros1", range(3))
@@ -591,7 +593,7 @@ def test_several_inputs_that_are_no_recording_are_refused_with_the_way_out(tmp_p
     assert "2 inputs (a.bag, b.bag, ...) are not evidently the parts of one recording" in capsys.readouterr().err
     assert run(["c_0.bag", "c_1.bag", "out.bag"]) == 2
     assert "c_2.bag: part of the same recording; name it, too, or write 'c_[0-9]*.bag'" in capsys.readouterr().err
-    assert "unexpected extra argument: out.bag does not exist" in told(["a.bag", "out.bag", "third"], 2).err
+    assert "unexpected extra argument: out.bag does not exist" in invoke(["a.bag", "out.bag", "third"], 2).err
 
 
 NAMES = {
@@ -601,7 +603,7 @@ NAMES = {
 }  # fmt: skip
 
 
-def test_names_that_ros_2_forbids_are_said_and_renamed_and_distinct(tmp_path, told):
+def test_names_that_ros_2_forbids_are_said_and_renamed_and_distinct(tmp_path, invoke):
     source = tmp_path / "in.bag"
     with Ros1Writer(source) as writer:
         for number, name in enumerate(("/odom-1", *NAMES)):
@@ -610,7 +612,7 @@ def test_names_that_ros_2_forbids_are_said_and_renamed_and_distinct(tmp_path, to
             for index in range(EACH):
                 writer.write(connection, T0_NS + index * 10**8 + number, make(index, 1))
     words = ["--odom-topic", "/odom-1", "--seed", "3", "--rename", "/tail/=/end", "-v"]
-    said = told([source, tmp_path / "out", *words]).err
+    said = invoke([source, tmp_path / "out", *words]).err
     expected = {**NAMES, "/camera-1/info": "/camera_1/info_", "/tail/": "/end", "/odom-1": "/odom_1"}
     assert {topic for topic, _, _ in seen(tmp_path / "out")} == set(expected.values())
     for old, new in expected.items():

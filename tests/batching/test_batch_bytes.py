@@ -325,12 +325,12 @@ def test_what_adds_messages_is_refused_where_only_changes_are_written(flag, outp
 
 
 @pytest.mark.parametrize("output", ["full", "overlay"])
-def test_damaged_bag_is_recovered_for_every_run_and_what_is_lost_is_reported(output, here, told):
+def test_damaged_bag_is_recovered_for_every_run_and_what_is_lost_is_reported(output, here, invoke):
     whole = (FIXTURES / "office.mcap").read_bytes()
     (here / "cut.mcap").write_bytes(whole[: len(whole) // 2])
     words = ["batch", "cut.mcap", "runs", "--runs", "2", *NOISE, "--output", output]
     assert run(words) == 1
-    assert "\nlost   " in told([*words, "--recover", "-v"], 3).err
+    assert "\nlost   " in invoke([*words, "--recover", "-v"], 3).err
     assert run(["cut.mcap", "alone.mcap", *NOISE, "--run", "1", "--recover"]) == 3
     made = here / "runs" / "run_000001.mcap"
     if output == "overlay":
@@ -369,9 +369,9 @@ def test_models_and_inputs_that_are_swept_have_directories_whose_commands_make_t
     assert len(seen) == len(points)
 
 
-def test_a_sweep_says_the_drift_of_each_point_and_its_next_command_works(here, told):
+def test_a_sweep_says_the_drift_of_each_point_and_its_next_command_works(here, invoke):
     words = ["batch", "office.mcap", "runs", "--runs", "2", "--output", "trajectories", *NOISE]
-    *_, low, high, following = told([*words, "--sweep", "alpha-scale=0.5,2"]).err.splitlines()
+    *_, low, high, following = invoke([*words, "--sweep", "alpha-scale=0.5,2"]).err.splitlines()
     for line, name in ((low, "alpha-scale=0.5"), (high, "alpha-scale=2")):
         drift = [one["drift"]["end_drawn_m"] for one in records(here / "runs" / name)]
         rms_m = (sum(value**2 for value in drift) / len(drift)) ** 0.5
@@ -426,22 +426,22 @@ def runs(here):
     return next(Path("runs").glob("run_*"))
 
 
-def refused(told, *words):
-    said = told(["assemble", *words], 1).err
+def refused(invoke, *words):
+    said = invoke(["assemble", *words], 1).err
     assert said.count("\n") == 1
     assert not Path("out.mcap").exists()
     return said
 
 
-def test_an_input_that_is_gone_or_another_is_reported(runs, told):
+def test_an_input_that_is_gone_or_another_is_reported(runs, invoke):
     shutil.move("in.mcap", "moved.mcap")
-    assert "the batch's input is not there; name it with --input" in refused(told, runs, "out.mcap")
+    assert "the batch's input is not there; name it with --input" in refused(invoke, runs, "out.mcap")
     shutil.copy("whole.mcap", "in.mcap")
-    assert "has changed since the batch was made from it" in refused(told, runs, "out.mcap")
+    assert "has changed since the batch was made from it" in refused(invoke, runs, "out.mcap")
     assert run(["assemble", str(runs), "out.mcap", "--input", "moved.mcap"]) == 0
 
 
-def test_an_overlay_does_not_go_into_a_bag_of_other_topics(runs, told):
-    said = refused(told, "whole.mcap", "out.mcap", "--input", runs)
+def test_an_overlay_does_not_go_into_a_bag_of_other_topics(runs, invoke):
+    said = refused(invoke, "whole.mcap", "out.mcap", "--input", runs)
     assert "has topics that" in said
     assert "name the input it was made from" in said

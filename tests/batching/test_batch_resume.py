@@ -27,9 +27,9 @@ def files_of(directory):
 
 
 @pytest.fixture
-def batch(told):
-    """Return a function that makes runs of a bag; see `told`."""
-    return lambda count, *more, target="runs", code=0: told(
+def batch(invoke):
+    """Return a function that makes runs of a bag; see `invoke`."""
+    return lambda count, *more, target="runs", code=0: invoke(
         ["batch", "in.mcap", target, "--runs", count, *TYPED, *more], code
     )
 
@@ -249,13 +249,13 @@ def test_lines_of_the_manifest_that_are_none_are_passed_over(here, batch):
     assert files_of(here / "runs") == whole
 
 
-def test_a_beginning_that_is_none_is_reported_in_a_line(here, told, batch):
+def test_a_beginning_that_is_none_is_reported_in_a_line(here, invoke, batch):
     batch(1)
     again = ["batch", "in.mcap", "runs", "--runs", "1"]
     for text in ("[]", "5", "{}", "[" * 100_000, '{"seed": "x"}', "\xff", '{"seed": -1}', "null", ""):
         (here / "runs" / "batch.json").write_text(text, encoding="latin1")
         for words in ([*again, *TYPED], [*again, *TYPED[:5]], ["spread", "runs"]):
-            said = told(words, 1).err
+            said = invoke(words, 1).err
             assert "batch.json: is not as batch writes it" in said
             assert said.count("\n") == 1
 
@@ -284,15 +284,15 @@ def test_a_run_that_is_not_as_large_as_noted_is_made_again(here, batch):
 
 
 @pytest.mark.parametrize("kind", ["in.mcap", "office_ros2"])
-def test_a_changed_byte_is_found_where_sums_are_asked_for(kind, here, told):
+def test_a_changed_byte_is_found_where_sums_are_asked_for(kind, here, invoke):
     words = ["batch", kind, "runs", "--runs", "2", *TYPED]
     assert run(words) == 0
     run_1 = here / "runs" / ("run_000001.mcap" if kind == "in.mcap" else "run_000001")
     path = run_1 if run_1.is_file() else next(run_1.glob("*.db3"))
     data = path.read_bytes()
     path.write_bytes(data[:5000] + bytes([data[5000] ^ 1]) + data[5001:])
-    assert "0 runs made now" in told(words).err
-    assert "1 runs made now" in told([*words, "--verify"]).err
+    assert "0 runs made now" in invoke(words).err
+    assert "1 runs made now" in invoke([*words, "--verify"]).err
     assert path.read_bytes() == data
 
 
@@ -329,9 +329,9 @@ def test_of_two_that_begin_at_once_one_is_refused(here, monkeypatch, batch):
     assert not list(here.glob("runs/run_*"))
 
 
-def test_runs_are_not_made_inside_of_their_input(here, told):
+def test_runs_are_not_made_inside_of_their_input(here, invoke):
     shutil.copytree(FIXTURES / "office_ros2", here / "bag")
-    assert "lies in the input" in told(["batch", "bag", "bag/runs", "--runs", "1", *TYPED], 1).err
+    assert "lies in the input" in invoke(["batch", "bag", "bag/runs", "--runs", "1", *TYPED], 1).err
     assert sorted(path.name for path in (here / "bag").iterdir()) == sorted(
         path.name for path in (FIXTURES / "office_ros2").iterdir()
     )

@@ -168,7 +168,7 @@ def test_a_sweep_that_makes_no_sense_is_refused(sweep):
 @pytest.mark.slow
 @pytest.mark.usefixtures("here")
 @pytest.mark.parametrize("model", ["noise", "robots"])
-def test_the_spread_is_what_the_linear_model_predicts(model, told):
+def test_the_spread_is_what_the_linear_model_predicts(model, invoke):
     """A deviation of n draws is known to 1/sqrt(2 n); turns of some degrees are linear to a few per cent."""
     Path("small.toml").write_text(
         MODEL.replace('"0.02 +- 0.008"', "0.01") if model == "robots" else
@@ -176,7 +176,7 @@ def test_the_spread_is_what_the_linear_model_predicts(model, told):
     )  # fmt: skip
     words = ["--runs", "250", "--model", "small.toml", "--seed", "7", "--output", "trajectories"]
     assert run(["batch", "in.mcap", "runs", *words]) == 0
-    report = json.loads(told(["spread", "runs", "--json", "-o", "picture.svg"]).out)
+    report = json.loads(invoke(["spread", "runs", "--json", "-o", "picture.svg"]).out)
     assert report["runs"] == 250
     for row in report["rows"]:
         assert row["position_m"] == pytest.approx(row["position_predicted_m"], rel=0.15)
@@ -186,18 +186,18 @@ def test_the_spread_is_what_the_linear_model_predicts(model, told):
 
 
 @pytest.mark.usefixtures("here")
-def test_a_spread_of_one_run_or_of_no_batch_is_refused(told):
-    assert "holds no batch" in told(["spread", "."], 1).err
+def test_a_spread_of_one_run_or_of_no_batch_is_refused(invoke):
+    assert "holds no batch" in invoke(["spread", "."], 1).err
     assert run(["batch", "in.mcap", "runs", "--runs", "1", "--seed", "7", "--output", "trajectories"]) == 0
-    assert "at least two" in told(["spread", "runs"], 1).err
-    assert "name one of its points, as runs" in told(["spread", "."], 1).err
+    assert "at least two" in invoke(["spread", "runs"], 1).err
+    assert "name one of its points, as runs" in invoke(["spread", "."], 1).err
 
 
 @pytest.mark.parametrize("output", ["full", "overlay", "trajectories"])
-def test_of_several_odometry_topics_a_batch_takes_the_one_that_the_model_was_learned_from(here, capsys, told, output):
+def test_of_several_odometry_topics_a_batch_takes_the_one_that_the_model_was_learned_from(here, capsys, invoke, output):
     assert run(["in.mcap", "two.mcap", "--alpha", "0", "0", "0", "0", "--seed", "1", "--keep-truth", "/wheels"]) == 0
     words = ["batch", "two.mcap", "runs", "--runs", "2", "--model", "robot.toml", "--output", output]
-    assert "2 nav_msgs/Odometry topics" in told(words, 1).err
+    assert "2 nav_msgs/Odometry topics" in invoke(words, 1).err
     (here / "robot.toml").write_text(MODEL + '[source]\nodometry = "/wheels"\n')
     assert run(words) == 0, capsys.readouterr().err
     assert len(records(here / "runs")) == 2
@@ -250,7 +250,7 @@ def test_what_is_no_fleet_is_refused(texts, said):
         fleet(*texts)
 
 
-def test_every_run_of_a_batch_is_another_robot_of_the_fleet(here, told):
+def test_every_run_of_a_batch_is_another_robot_of_the_fleet(here, invoke):
     files = []
     for i, rot in enumerate((0.01, 0.02, 0.04)):
         files += ["--fleet", f"{i}.toml"]
@@ -261,7 +261,7 @@ def test_every_run_of_a_batch_is_another_robot_of_the_fleet(here, told):
     assert len({line["drawn"]["wheelbase.e"] for line in lines}) == 5
     own = read_model(here / "runs" / lines[2]["robot"])
     assert own.effects[0].e == pytest.approx(lines[2]["drawn"]["wheelbase.e"])
-    assert "--fleet and --preset" in told([*words, *files, "--preset", "article"], 2).err
+    assert "--fleet and --preset" in invoke([*words, *files, "--preset", "article"], 2).err
 
 
 def test_sobol_points_fill_every_cell_of_both_ranges():

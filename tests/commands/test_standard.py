@@ -27,24 +27,24 @@ COMMANDS = cli.list_commands(click.Context(cli))
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_has_the_standard_options(name, told):
+def test_every_command_has_the_standard_options(name, invoke):
     command = cli.get_command(click.Context(cli), name)
     words = {word for option in command.params for word in option.opts}
     assert {"-v", "--verbose", "-q", "--quiet", "--json", "--config"} <= words
     assert ("--force" in words) == ("--overwrite" in words)
     assert "-o" in words or name not in ("corrupt", "correct", "assemble", "batch", "simulate", "integrate")
-    assert "Usage: odomcorrupt" in told([name, "-h"]).out
+    assert "Usage: odomcorrupt" in invoke([name, "-h"]).out
 
 
-def test_the_output_is_named_once(tmp_path, told):
+def test_the_output_is_named_once(tmp_path, invoke):
     assert run([OFFICE, "-o", str(tmp_path / "a.mcap"), "--seed", "1"]) == 0
     assert (tmp_path / "a.mcap").exists()
-    assert "both name the output" in told([OFFICE, tmp_path / "b.mcap", "-o", tmp_path / "c.mcap"], 2).err
+    assert "both name the output" in invoke([OFFICE, tmp_path / "b.mcap", "-o", tmp_path / "c.mcap"], 2).err
 
 
-def test_a_verdict_everything_nothing_or_values(tmp_path, told):
+def test_a_verdict_everything_nothing_or_values(tmp_path, invoke):
     def said(*more):
-        return told([OFFICE, tmp_path / "a.mcap", "--force", "--seed", "1", *more]).err
+        return invoke([OFFICE, tmp_path / "a.mcap", "--force", "--seed", "1", *more]).err
 
     brief = said()
     assert brief.startswith("MOVED ")
@@ -72,19 +72,19 @@ def test_json_goes_to_stdout_unless_a_bag_does(tmp_path, capfdbinary):
 
 
 @pytest.mark.parametrize("words", [["preview", OFFICE, "--runs", "2"], ["simulate", "OUT", "--duration", "15"]])
-def test_a_seed_is_drawn_and_printed_where_none_is_given(words, tmp_path, told):
+def test_a_seed_is_drawn_and_printed_where_none_is_given(words, tmp_path, invoke):
     seen = set()
     for name in ("a", "b"):
         given = [word.replace("OUT", str(tmp_path / f"{name}.mcap")) for word in words]
-        seen.add(json.loads(told([*given, "--json"]).out)["seed"])
+        seen.add(json.loads(invoke([*given, "--json"]).out)["seed"])
     assert len(seen) == 2
 
 
 @pytest.mark.parametrize(("value", "hinted"), [("2", True), ("2%", False), ("-0.6", True), ("0.3", False)])
-def test_a_fraction_that_should_be_a_percentage_gets_a_hint(value, hinted, tmp_path, told):
+def test_a_fraction_that_should_be_a_percentage_gets_a_hint(value, hinted, tmp_path, invoke):
     words = [OFFICE, str(tmp_path / "a.mcap"), "--seed", "1", "--effect", f"wheelbase:e={value}"]
-    assert ("robots have about 1.5 %" in told(words).err) is hinted
-    assert told([*words, "--overwrite", "-q"]).err == ""
+    assert ("robots have about 1.5 %" in invoke(words).err) is hinted
+    assert invoke([*words, "--overwrite", "-q"]).err == ""
 
 
 def test_an_option_of_one_meaning_has_one_name_in_all_commands():
@@ -100,7 +100,7 @@ def test_an_option_of_one_meaning_has_one_name_in_all_commands():
     assert all("--plot" in options[name] for name in drawing)
 
 
-def test_an_interrupted_batch_says_what_is_kept(tmp_path, told, monkeypatch):
+def test_an_interrupted_batch_says_what_is_kept(tmp_path, invoke, monkeypatch):
     words = ["batch", OFFICE, str(tmp_path / "runs"), "--output", "trajectories", "--seed", "1"]
     assert run([*words, "--runs", "2"]) == 0
 
@@ -108,7 +108,7 @@ def test_an_interrupted_batch_says_what_is_kept(tmp_path, told, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("odomcorrupt.api.batch.run_batch", interrupted)
-    said = told([*words, "--runs", "9"], 130).err
+    said = invoke([*words, "--runs", "9"], 130).err
     assert f"interrupted: 2 runs are complete in {tmp_path / 'runs'}; the same command makes the others" in said
 
 
@@ -123,19 +123,19 @@ def test_colours_are_for_terminals_whose_user_wants_them(monkeypatch):
     assert not _colours(terminal)
 
 
-def test_defaults_come_from_a_file_and_what_is_typed_wins(tmp_path, monkeypatch, told):
+def test_defaults_come_from_a_file_and_what_is_typed_wins(tmp_path, monkeypatch, invoke):
     monkeypatch.chdir(tmp_path)
     Path("odomcorrupt.toml").write_text('seed = 5\n[corrupt]\nalpha = [0.1, 0.1, 0.1, 0.1]\n[learn]\nscan = "/scan"\n')
-    said = told([OFFICE, "a.mcap"]).err
+    said = invoke([OFFICE, "a.mcap"]).err
     assert "defaults from odomcorrupt.toml: alpha, seed" in said
     assert "diffusion, alpha 0.1 0.1 0.1 0.1" in said
     assert "seed      5" in said
-    said = told([OFFICE, "b.mcap", "--preset", "article", "--seed", "6"]).err
+    said = invoke([OFFICE, "b.mcap", "--preset", "article", "--seed", "6"]).err
     assert "defaults from odomcorrupt.toml: alpha\n" in said
     assert "preset article" in said
     assert "seed      6" in said
     Path("other.toml").write_text("seed = 9\n")
-    assert "seed      9" in told([OFFICE, "c.mcap", "--config", "other.toml"]).err
+    assert "seed      9" in invoke([OFFICE, "c.mcap", "--config", "other.toml"]).err
 
 
 @pytest.mark.parametrize(
@@ -146,24 +146,24 @@ def test_defaults_come_from_a_file_and_what_is_typed_wins(tmp_path, monkeypatch,
     ("seed = \n", "not valid TOML"),
     ('seed = "x"\n', "'x' is not a valid integer")],
 )  # fmt: skip
-def test_a_wrong_file_of_defaults_is_an_error(text, said, tmp_path, monkeypatch, told):
+def test_a_wrong_file_of_defaults_is_an_error(text, said, tmp_path, monkeypatch, invoke):
     monkeypatch.chdir(tmp_path)
     Path("odomcorrupt.toml").write_text(text)
-    line = told([OFFICE, "a.mcap"], 2).err
+    line = invoke([OFFICE, "a.mcap"], 2).err
     assert said in line
     assert line.count("\n") == 1
     assert not Path("a.mcap").exists()
 
 
-def test_an_effect_without_numbers_has_its_typical_size_and_says_so(tmp_path, told):
-    said = told([OFFICE, tmp_path / "a.mcap", "--effect", "unequal_wheels", "--seed", "1"]).err
+def test_an_effect_without_numbers_has_its_typical_size_and_says_so(tmp_path, invoke):
+    said = invoke([OFFICE, tmp_path / "a.mcap", "--effect", "unequal_wheels", "--seed", "1"]).err
     assert "unequal_wheels at its typical size, curvature 0.005 rad/m" in " ".join(said.split())
 
 
-def test_a_step_may_be_a_distance_alone(tmp_path, told):
+def test_a_step_may_be_a_distance_alone(tmp_path, invoke):
     numbers = ["--law", "linear", "--alpha", "0.05", "0.1", "0.05", "0.01", "--seed", "1"]
-    assert "once per 0.25m,0.2rad" in told([OFFICE, tmp_path / "a.mcap", *numbers, "--step", "0.25m"]).err
-    assert "once per 0.25m,0.1rad" in told([OFFICE, tmp_path / "b.mcap", *numbers, "--step", "0.1rad"]).err
+    assert "once per 0.25m,0.2rad" in invoke([OFFICE, tmp_path / "a.mcap", *numbers, "--step", "0.25m"]).err
+    assert "once per 0.25m,0.1rad" in invoke([OFFICE, tmp_path / "b.mcap", *numbers, "--step", "0.1rad"]).err
 
 
 NOISE = ["--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "1"]
@@ -179,8 +179,8 @@ def runs(tmp_path_factory):
     return str(path)
 
 
-def lines_of(told, words):
-    return told(words).out.splitlines()
+def lines_of(invoke, words):
+    return invoke(words).out.splitlines()
 
 
 def require_brief(lines, label, most=8):
@@ -193,8 +193,8 @@ def require_brief(lines, label, most=8):
 
 
 @pytest.mark.parametrize("name", registry())
-def test_an_effect_is_explained_in_eight_lines(name, told):
-    require_brief(lines_of(told, ["effects", name]), name)
+def test_an_effect_is_explained_in_eight_lines(name, invoke):
+    require_brief(lines_of(invoke, ["effects", name]), name)
 
 
 @pytest.mark.parametrize(
@@ -206,44 +206,44 @@ def test_an_effect_is_explained_in_eight_lines(name, told):
     (MAP, "THICKER"),
     (["preview", SHORT, "--runs", "2", "--seed", "1"], "DRIFT")],
 )  # fmt: skip
-def test_a_result_has_eight_lines_all_of_it_nothing_or_values(words, label, told):
+def test_a_result_has_eight_lines_all_of_it_nothing_or_values(words, label, invoke):
     # a list of names leaves none out
-    require_brief(lines_of(told, words), label, most=13 if words == ["effects"] else 8)
-    full = lines_of(told, [*words, "-v"])
+    require_brief(lines_of(invoke, words), label, most=13 if words == ["effects"] else 8)
+    full = lines_of(invoke, [*words, "-v"])
     # more, and not something else: the verdict and the next command, which lists of names have not
     assert len(words) == 1 or (
         any(row.startswith(label) for row in full) and any(row.startswith("next") for row in full)
     )
-    assert lines_of(told, [*words, "-q"]) == []
-    assert json.loads("\n".join(lines_of(told, [*words, "--json"])))["schema"] == 2
+    assert lines_of(invoke, [*words, "-q"]) == []
+    assert json.loads("\n".join(lines_of(invoke, [*words, "--json"])))["schema"] == 2
 
 
-def test_a_spread_begins_with_whether_it_is_the_predicted_one_and_is_drawn_over_nothing_else(runs, tmp_path, told):
-    lines = lines_of(told, ["spread", runs])
+def test_a_spread_begins_with_whether_it_is_the_predicted_one_and_is_drawn_over_nothing_else(runs, tmp_path, invoke):
+    lines = lines_of(invoke, ["spread", runs])
     assert lines[0].startswith(("AS PREDICTED", "WIDER", "NARROWER"))
     require_brief(lines, "")
     assert "4 runs" in lines[0]
-    full, picture = lines_of(told, ["spread", runs, "-v"]), tmp_path / "out.svg"
+    full, picture = lines_of(invoke, ["spread", runs, "-v"]), tmp_path / "out.svg"
     assert any(row.split()[:1] == ["after"] for row in full)
     assert "not predicted: the draws of slip_burst" in "\n".join(full)
-    shown = json.loads("\n".join(lines_of(told, ["spread", runs, "--json", "-o", str(picture)])))
+    shown = json.loads("\n".join(lines_of(invoke, ["spread", runs, "--json", "-o", str(picture)])))
     assert (shown["runs"], shown["random_effects"], picture.stat().st_size > 1000) == (4, ["slip_burst"], True)
     table = [line.split() for line in full if len(line.split()) == 7 and line[0] == " "]
     assert [float(row[0]) for row in table] == pytest.approx([row["after_m"] for row in shown["rows"]], rel=1e-3)
-    assert "--overwrite" in told(["spread", runs, "-o", picture], 1).err
+    assert "--overwrite" in invoke(["spread", runs, "-o", picture], 1).err
 
 
-def test_the_table_of_a_map_fits_a_hundred_columns(told):
-    table = [line for line in lines_of(told, [*MAP, "-v"]) if " m  " in line and line[:2] == "  "]
+def test_the_table_of_a_map_fits_a_hundred_columns(invoke):
+    table = [line for line in lines_of(invoke, [*MAP, "-v"]) if " m  " in line and line[:2] == "  "]
     assert len(table) >= 3
     assert max(map(len, table)) <= 100
 
 
 @pytest.mark.parametrize("target", ["nav2", "robot_localization", "ros2_control"])
-def test_parameters_stand_without_their_derivation_unless_it_is_asked_for(target, tmp_path, told):
+def test_parameters_stand_without_their_derivation_unless_it_is_asked_for(target, tmp_path, invoke):
     model = tmp_path / "robot.toml"
-    model.write_text("\n".join(lines_of(told, ["presets", "article"])) + "\n[[effect]]\nname='side_slip'\nk=0.1\n")
-    brief, full = (lines_of(told, ["export", str(model), "--to", target, *more]) for more in ([], ["-v"]))
+    model.write_text("\n".join(lines_of(invoke, ["presets", "article"])) + "\n[[effect]]\nname='side_slip'\nk=0.1\n")
+    brief, full = (lines_of(invoke, ["export", str(model), "--to", target, *more]) for more in ([], ["-v"]))
     assert max(map(len, brief + full)) <= 80
     assert len(brief) <= 8 < len(full)
     assert YAML().load("\n".join(brief)) == YAML().load("\n".join(full))
@@ -281,28 +281,28 @@ def test_each_suggested_command_runs_and_those_that_it_suggests(typed, last, tmp
     assert all(any(line.endswith(one) for line in done.values()) for one in last.split("; ")), done
 
 
-def test_the_list_has_law_numbers_and_source_of_each(told):
-    text = told(["presets", "-v"]).out
+def test_the_list_has_law_numbers_and_source_of_each(invoke):
+    text = invoke(["presets", "-v"]).out
     for preset in PRESETS.values():
         entry = text.split(f"{preset.name}\n", 1)[1].split("\n\n", 1)[0]
         assert f"law {preset.noise.law_name}:" in entry
         assert f"rot_trans {preset.noise.coefficients.rot_trans:.4g}" in entry
         assert all(f"{name} " in entry and f" +- {range_:.2g}" in entry for name, range_ in preset.spread.items())
         assert preset.source in entry
-    assert [p["name"] for p in json.loads(told(["presets", "--json"]).out)["presets"]] == list(PRESETS)
+    assert [p["name"] for p in json.loads(invoke(["presets", "--json"]).out)["presets"]] == list(PRESETS)
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_a_preset_is_printed_as_a_model_file_of_the_same_model(name, told, tmp_path):
+def test_a_preset_is_printed_as_a_model_file_of_the_same_model(name, invoke, tmp_path):
     file = tmp_path / "robot.toml"
-    file.write_text(told(["presets", name]).out)
+    file.write_text(invoke(["presets", name]).out)
     read, preset = parse_model(file.read_text()), PRESETS[name]
     assert (read.noise.law_name, read.track_m) == (preset.noise.law_name, preset.track_m)
     assert read.effects == preset.model.effects
     assert read.standard_errors == pytest.approx(dict(preset.spread), rel=1e-2)
     assert asdict(read.noise.coefficients) == pytest.approx(asdict(preset.noise.coefficients), rel=1e-8)
     assert read.source["from"] == preset.source
-    assert f"(of {file})" in told([OFFICE, tmp_path / "out.mcap", "-v", "--seed", "1", "--model", file]).err
+    assert f"(of {file})" in invoke([OFFICE, tmp_path / "out.mcap", "-v", "--seed", "1", "--model", file]).err
 
 
 @pytest.mark.parametrize("name", [name for name, preset in PRESETS.items() if preset.spread][::3])
@@ -338,10 +338,10 @@ def test_topics_types_and_frames_give_a_robot_away(names, found):
     assert suggested(names) == found
 
 
-def test_info_and_a_run_without_noise_options_suggest_the_robot(tmp_path, told):
+def test_info_and_a_run_without_noise_options_suggest_the_robot(tmp_path, invoke):
     bag, still = tmp_path / "husky.mcap", ["--alpha", "0", "0", "0", "0"]
     assert run([OFFICE, str(bag), "-q", *still, "--rename", "/odom=/husky_velocity_controller/odom"]) == 0
-    assert "robot     looks like a husky: --preset husky" in told(["info", bag]).out
+    assert "robot     looks like a husky: --preset husky" in invoke(["info", bag]).out
     for words, said in (([], True), (["--preset", "husky"], False)):
-        shown = told([bag, tmp_path / f"{said}.mcap", "--seed", "1", *words]).err
+        shown = invoke([bag, tmp_path / f"{said}.mcap", "--seed", "1", *words]).err
         assert ("looks like a husky: --preset husky" in shown) is said

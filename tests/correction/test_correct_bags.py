@@ -78,20 +78,20 @@ def test_transforms_agree_with_the_odometry(trio):
 
 
 @pytest.mark.parametrize(("effect", "said"), [("", "set-up lever_arm ("), ("wheel_scale", "; not lever_arm (")])
-def test_a_lever_arm_is_said_to_be_no_part_of_the_odometry(tmp_path, effect, said, told):
+def test_a_lever_arm_is_said_to_be_no_part_of_the_odometry(tmp_path, effect, said, invoke):
     arm = '[[setup.effect]]\nname = "lever_arm"\nx = 0.25\ny = 0.0\n'
     own = f'[[effect]]\nname = "{effect}"\ne = 0.02\n' if effect else ""
     (tmp_path / "robot.toml").write_text(f"{NOISE}\n{own}[setup]\n{arm}")
     words = ["correct", OFFICE, tmp_path / "right.mcap", "--model", tmp_path / "robot.toml", "--force"]
-    assert f"{said}the truth's tracked point)" in " ".join(told(words).err.split())
-    assert "tracked point" not in told([*words, "--effect", "lever_arm:x=0.25"]).err
+    assert f"{said}the truth's tracked point)" in " ".join(invoke(words).err.split())
+    assert "tracked point" not in invoke([*words, "--effect", "lever_arm:x=0.25"]).err
 
 
 @pytest.mark.parametrize("choice", ["model", "keep"])
-def test_covariances_are_the_noise_that_remains_or_stay(tmp_path, choice, told):
+def test_covariances_are_the_noise_that_remains_or_stay(tmp_path, choice, invoke):
     (tmp_path / "robot.toml").write_text(f'{NOISE}\n[[effect]]\nname = "wheel_scale"\ne = 0.02\n')
     words = ["correct", OFFICE, tmp_path / "out.mcap", "--covariance", choice]
-    said = told([*words, "-v", "--model", tmp_path / "robot.toml"]).err
+    said = invoke([*words, "-v", "--model", tmp_path / "robot.toml"]).err
     was, now = (rows_of(path, "/odom") for path in (OFFICE, tmp_path / "out.mcap"))
     same = np.array_equal(was.pose_covariance, now.pose_covariance)
     assert same == (choice == "keep")
@@ -113,22 +113,22 @@ def test_clocks_given_as_effects_are_put_right(tmp_path):
     assert np.abs(edge.stamps_ns - rows_of(source, "/tf", EDGE).stamps_ns).max() <= 1
 
 
-def test_what_cannot_be_undone_is_said_and_setup_is_left_alone(tmp_path, told):
+def test_what_cannot_be_undone_is_said_and_setup_is_left_alone(tmp_path, invoke):
     (tmp_path / "robot.toml").write_text(
         f'{NOISE}\n[[effect]]\nname = "wheel_scale"\ne = 0.02\n[[effect]]\nname = "gauss_markov"\nsigma = 0.02\n'
         '[[effect]]\nname = "quantization"\nstep = 0.001\n[setup]\ntruth_xy = 0.001\n[[setup.effect]]\n'
         'name = "lever_arm"\nx = 0.5\ny = 0.0\n[robot]\ntrack = 0.4\n'
     )
     out = [tmp_path / "with.mcap", tmp_path / "plain.mcap"]
-    said = told(["correct", "-v", OFFICE, out[0], "--model", tmp_path / "robot.toml"]).err
+    said = invoke(["correct", "-v", OFFICE, out[0], "--model", tmp_path / "robot.toml"]).err
     assert "taken out  wheel_scale (e 0.02)" in said
     assert "gauss_markov: its random course was not recorded" in said
     assert "quantization: travel below the encoder's resolution" in said
     assert "[setup]" in said
     assert "lever_arm" in said
-    told(["correct", "-v", OFFICE, out[1], "--effect", "wheel_scale:e=0.02"])
+    invoke(["correct", "-v", OFFICE, out[1], "--effect", "wheel_scale:e=0.02"])
     assert np.array_equal(rows_of(out[0], "/odom").xyt, rows_of(out[1], "/odom").xyt)
-    told(["correct", "-v", OFFICE, tmp_path / "arm.mcap", "--effect", "lever_arm:x=0.5,y=0"])
+    invoke(["correct", "-v", OFFICE, tmp_path / "arm.mcap", "--effect", "lever_arm:x=0.5,y=0"])
     assert differ(rows_of(tmp_path / "arm.mcap", "/odom").xyt, rows_of(OFFICE, "/odom").xyt) > 0.1
 
 
@@ -163,48 +163,48 @@ def test_a_truth_that_was_kept_in_the_frame_of_the_odometry_stays(tmp_path):
     assert differ(rows_of(right, "/odom").xyt, was.xyt) < 1e-6
 
 
-def test_effects_of_single_wheels_take_the_track_from_the_command_line(tmp_path, told):
+def test_effects_of_single_wheels_take_the_track_from_the_command_line(tmp_path, invoke):
     wrong, right = tmp_path / "wrong.mcap", tmp_path / "right.mcap"
     play = ["--effect", "backlash:travel=0.02"]
-    told([OFFICE, wrong, *play, "--track", "0.4"])
-    assert "give it in metres with --track" in told(["correct", "-v", wrong, right, *play], 1).err
-    told(["correct", "-v", wrong, right, *play, "--track", "0.4"])
+    invoke([OFFICE, wrong, *play, "--track", "0.4"])
+    assert "give it in metres with --track" in invoke(["correct", "-v", wrong, right, *play], 1).err
+    invoke(["correct", "-v", wrong, right, *play, "--track", "0.4"])
     was, off, back = (rows_of(path, "/odom").xyt for path in (OFFICE, wrong, right))
     assert differ(back, was) < 0.2 * differ(off, was)
 
 
-def test_effects_of_places_ask_where_the_drive_began(tmp_path, told):
+def test_effects_of_places_ask_where_the_drive_began(tmp_path, invoke):
     effect, start = ["--effect", "slope:creep=0.02"], rows_of(OFFICE, "/odom").xyt[0]
-    said = told(["correct", "-v", OFFICE, tmp_path / "silent.mcap", *effect]).err
+    said = invoke(["correct", "-v", OFFICE, tmp_path / "silent.mcap", *effect]).err
     assert "slope: taken out at places and headings of the frame odom, taken to be" in said
     same, turned = ("--start", ",".join(map(str, start))), ("--start", "0,0,180deg")
     for name, option in (("same", same), ("turned", turned)):
-        assert "--start" not in told(["correct", "-v", OFFICE, tmp_path / f"{name}.mcap", *effect, *option]).err
+        assert "--start" not in invoke(["correct", "-v", OFFICE, tmp_path / f"{name}.mcap", *effect, *option]).err
     silent, same_path, other = (rows_of(tmp_path / f"{n}.mcap", "/odom").xyt for n in ("silent", "same", "turned"))
     assert differ(same_path, silent) < 1e-9
     assert differ(other, silent) > 0.05
 
 
-def test_learned_effects_of_places_are_not_taken_out_before_their_frame_is_given(tmp_path, told):
+def test_learned_effects_of_places_are_not_taken_out_before_their_frame_is_given(tmp_path, invoke):
     model, out = tmp_path / "robot.toml", tmp_path / "out.mcap"
     slope = '\n[[effect]]\nname = "slope"\ncreep = 0.02\n\n[source]\nrecordings = ["run.mcap"]\n'
     model.write_text(NOISE + slope)
     words = ["correct", OFFICE, out, "--model", model]
-    assert "slope: depends on position or heading in the frame of the truth" in told(words, 2).err
+    assert "slope: depends on position or heading in the frame of the truth" in invoke(words, 2).err
     assert not out.exists()
-    assert "--start" not in told([*words, "--start", "odom"]).err
+    assert "--start" not in invoke([*words, "--start", "odom"]).err
     with pytest.raises(EffectError, match="give the pose at which this odometry begins"):
         correct(OFFICE, tmp_path / "other.mcap", model=model)
-    assert told([OFFICE, tmp_path / "noisy.mcap", "--model", model]).err.splitlines()[1].startswith("places  ")
+    assert invoke([OFFICE, tmp_path / "noisy.mcap", "--model", model]).err.splitlines()[1].startswith("places  ")
 
 
 @pytest.mark.parametrize("learned_from", ["/odom", "/wheels", "/gone"])
-def test_of_several_odometry_topics_the_one_that_was_learned_from_is_taken(tmp_path, told, learned_from):
+def test_of_several_odometry_topics_the_one_that_was_learned_from_is_taken(tmp_path, invoke, learned_from):
     two, model = tmp_path / "two.mcap", tmp_path / "robot.toml"
-    told([OFFICE, two, "--effect", "wheel_scale:e=0.01", "--seed", "1", "--keep-truth", "/wheels"])
+    invoke([OFFICE, two, "--effect", "wheel_scale:e=0.01", "--seed", "1", "--keep-truth", "/wheels"])
     model.write_text(NOISE + f'\n[[effect]]\nname = "wheel_scale"\ne = 0.01\n\n[source]\nodometry = "{learned_from}"\n')
     gone = learned_from == "/gone"
-    said = " ".join(told(["correct", two, tmp_path / "out.mcap", "--model", model], int(gone)).err.split())
+    said = " ".join(invoke(["correct", two, tmp_path / "out.mcap", "--model", model], int(gone)).err.split())
     if gone:
         assert "2 nav_msgs/Odometry topics" in said
     else:
@@ -212,34 +212,34 @@ def test_of_several_odometry_topics_the_one_that_was_learned_from_is_taken(tmp_p
         assert f"(the topic that the model was learned from; not {other})" in said
 
 
-def test_noise_that_loses_the_place_is_said_of_effects_that_act_at_places(tmp_path, told):
+def test_noise_that_loses_the_place_is_said_of_effects_that_act_at_places(tmp_path, invoke):
     patch = ["--effect", "region_slip:slip=0.05,x=1,y=1,radius=2", "--start", "0,0,0"]
     model = tmp_path / "robot.toml"
     model.write_text(NOISE)
     for noise, said in ((["--model", model], True), ([], False)):
         words = ["correct", OFFICE, tmp_path / "out.mcap", "--overwrite", *noise, *patch]
-        assert ("taken out in the wrong place" in told([*words, "-v"]).err) is said
-        assert any(row.startswith("places  ") for row in told(words).err.splitlines()) is said
+        assert ("taken out in the wrong place" in invoke([*words, "-v"]).err) is said
+        assert any(row.startswith("places  ") for row in invoke(words).err.splitlines()) is said
 
 
 @pytest.mark.parametrize("options", [[], ["--effect", "gauss_markov:sigma=0.02"]])
-def test_with_nothing_to_undo_the_bag_is_copied_and_that_is_said(tmp_path, options, told):
+def test_with_nothing_to_undo_the_bag_is_copied_and_that_is_said(tmp_path, options, invoke):
     target = tmp_path / "out.mcap"
-    said = told(["correct", "-v", OFFICE, target, *options]).err
+    said = invoke(["correct", "-v", OFFICE, target, *options]).err
     assert target.read_bytes() == OFFICE.read_bytes()
     assert said.startswith("UNCHANGED ")
     assert ("gauss_markov" in said) == bool(options)
 
 
 @pytest.mark.parametrize(("offset", "said"), [("0.015145", True), ("0.0004", False)])
-def test_a_learned_time_offset_stays_and_the_way_out_is_named(tmp_path, told, offset, said):
+def test_a_learned_time_offset_stays_and_the_way_out_is_named(tmp_path, invoke, offset, said):
     model = tmp_path / "late.toml"
     model.write_text(f'{NOISE}[[setup.clock]]\nrecording = "a.mcap"\ntime_offset = {offset}\nclock_skew = 0.0\n')
-    text = " ".join(told(["correct", OFFICE, tmp_path / "out.mcap", "--model", model]).err.split())
+    text = " ".join(invoke(["correct", OFFICE, tmp_path / "out.mcap", "--model", model]).err.split())
     assert ("--effect time_offset:offset=0.01515" in text) is said
     # who asks for it gets it, and is not told again
     asked = ["--model", model, "--effect", "time_offset:offset=0.015"]
-    assert "stays" not in told(["correct", OFFICE, tmp_path / "asked.mcap", *asked]).err
+    assert "stays" not in invoke(["correct", OFFICE, tmp_path / "asked.mcap", *asked]).err
 
 
 def test_a_pipe_can_be_written(tmp_path, capfdbinary):

@@ -241,7 +241,7 @@ def test_short_messages_other_types_and_other_encodings_say_nothing():
 
 
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
-def test_a_grid_in_the_odom_frame_is_named_whatever_the_bag_is_stored_as(tmp_path, capsys, told, storage):
+def test_a_grid_in_the_odom_frame_is_named_whatever_the_bag_is_stored_as(tmp_path, capsys, invoke, storage):
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -258,7 +258,7 @@ def test_a_grid_in_the_odom_frame_is_named_whatever_the_bag_is_stored_as(tmp_pat
             writer.write(odom, stamp, odometry(stamp, pose))
             for frame, grid in grids.items():
                 writer.write(grid, stamp, message("cdr", frame, many=False))
-    assert json.loads(told(["info", tmp_path / "in", "--json"]).out)["still_true"] == ["/grid_in_odom"]
+    assert json.loads(invoke(["info", tmp_path / "in", "--json"]).out)["still_true"] == ["/grid_in_odom"]
     assert run([str(tmp_path / "in"), str(tmp_path / "out"), "-v", "--seed", "1"]) == 0
     assert "/grid_in_odom: still contains the true motion\n" in capsys.readouterr().err
 

@@ -482,7 +482,7 @@ def test_a_batch_of_two_robots_has_the_bytes_of_single_runs(tmp_path):
 @pytest.mark.parametrize(("words", "code", "said"), [
     ([], 1, "the bag does not tell how"), (["--tf", "correction", "--new-odom-frame", "a"], 2, "leave one"),
 ])  # fmt: skip
-def test_what_cannot_be_consistent_is_one_line(tmp_path, told, words, code, said):
+def test_what_cannot_be_consistent_is_one_line(tmp_path, invoke, words, code, said):
     write(Kind(0, "mcap", "root", "level", "10 ms stamps", "child", "stay"), tmp_path / "in")  # 1.3 s are too short
-    assert said in told([tmp_path / "in", tmp_path / "out", "--consistent", *words], code).err
+    assert said in invoke([tmp_path / "in", tmp_path / "out", "--consistent", *words], code).err
     assert not (tmp_path / "out").exists()

@@ -203,7 +203,7 @@ def edges_of(path):
         ]
 
 
-def test_the_localisation_of_the_true_odometry_is_said_and_can_be_left_out(tmp_path, capsys, told):
+def test_the_localisation_of_the_true_odometry_is_said_and_can_be_left_out(tmp_path, capsys, invoke):
     messages = robot(*office(10.0, 10.0))
     amcl = Channel(9, "/amcl_pose", "geometry_msgs/msg/PoseWithCovarianceStamped", "cdr")
     source = write_mcap(tmp_path / "in.mcap", [(amcl, messages[0][1], b"\0\1\0\0"), *messages])
@@ -212,20 +212,20 @@ def test_the_localisation_of_the_true_odometry_is_said_and_can_be_left_out(tmp_p
         [str(source), str(target), "--seed", "1", "-v"],
         ["batch", str(source), str(tmp_path / "b"), *batched, "-v"],
     ):
-        said = " ".join("".join(told(words)).split())
+        said = " ".join("".join(invoke(words)).split())
         assert "recorded localisation stays, and is of the true odometry: leave it out with " in said
         assert words[0] != "batch" or " RMS at the end of " in said
         assert "--exclude-topic /tf:map.odom --exclude-topic /amcl_pose and localise again, or move TF with " in said
-    brief = told([source, target, "--seed", "1", "--overwrite"]).err
+    brief = invoke([source, target, "--seed", "1", "--overwrite"]).err
     assert "seed      1, run 0" in brief
     assert "--exclude-topic /tf:map.odom --exclude-topic /amcl_pose\n" in brief
-    assert "--exclude-topic /tf:map.odom --exclude-topic /amcl_pose" in told(["info", source]).out
+    assert "--exclude-topic /tf:map.odom --exclude-topic /amcl_pose" in invoke(["info", source]).out
     left_out = ["--exclude-topic", "/amcl_pose", "--exclude-topic", "/tf:map.odom"]
-    assert "stays" not in told(["batch", source, tmp_path / "c", *batched, *left_out]).out
+    assert "stays" not in invoke(["batch", source, tmp_path / "c", *batched, *left_out]).out
     moved = [edge for edge in edges_of(target) if edge[:2] == ("odom", "base_link")]
     for words in (["/tf:map.odom"], ["tf:map.odom", "/tf:base_link.laser"]):
         exclude = [word for one in words for word in ("--exclude-topic", one)]
-        assert "--exclude-topic /tf:" not in told([source, target, "--seed", "1", "-v", "--overwrite", *exclude]).err
+        assert "--exclude-topic /tf:" not in invoke([source, target, "--seed", "1", "-v", "--overwrite", *exclude]).err
         kept = {("odom", "base_link"), *([("base_link", "laser")] if len(words) == 1 else [])}
         assert {edge[:2] for edge in edges_of(target)} == kept
         assert [edge for edge in edges_of(target) if edge[:2] == ("odom", "base_link")] == moved
@@ -245,13 +245,13 @@ def test_a_correction_is_published_once_for_each_stamp(tmp_path):
     assert edges_of(target) == [("odom1", "odom", int(s)) for s in t]
 
 
-def test_two_publishers_are_refused_with_the_way_out(tmp_path, told):
+def test_two_publishers_are_refused_with_the_way_out(tmp_path, invoke):
     t, poses = office(10.0, 10.0)
     beside = compose(np.array([0.3, 0.1, 0.09]), poses)
     both = [(ODOM, int(s), odometry(s, p)) for s, p in zip(t, poses, strict=True)]
     both += [(ODOM, int(s) + 21_000_000, odometry(s + 21_000_000, p)) for s, p in zip(t, beside, strict=True)]
     source, target = write_mcap(tmp_path / "in.mcap", sorted(both, key=itemgetter(1))), tmp_path / "out.mcap"
-    assert "two publishers alternate" in (said := told([source, target, "--seed", "1"], 1).err)
+    assert "two publishers alternate" in (said := invoke([source, target, "--seed", "1"], 1).err)
     assert "sideways" not in said
     assert not target.exists()
     both[len(t) :] = [
@@ -261,7 +261,7 @@ def test_two_publishers_are_refused_with_the_way_out(tmp_path, told):
     ]
     write_mcap(source, sorted(both, key=itemgetter(1)))
     for words in ([str(source), str(target), "--seed", "1"], ["info", "-v", str(source)]):
-        assert "TF odom -> base_link: two publishers alternate" in " ".join("".join(told(words)).split())
+        assert "TF odom -> base_link: two publishers alternate" in " ".join("".join(invoke(words)).split())
 
 
 COMMAND = [sys.executable, "-m", "odomcorrupt"]

@@ -401,28 +401,28 @@ SAID = (
 )
 
 
-def test_info_and_the_summary_say_them(odd, tmp_path, told):
-    seen = told(["info", odd, "-v"]).out
-    moved = told([odd, tmp_path / "out.mcap", "-v", *NOISE]).err
+def test_info_and_the_summary_say_them(odd, tmp_path, invoke):
+    seen = invoke(["info", odd, "-v"]).out
+    moved = invoke([odd, tmp_path / "out.mcap", "-v", *NOISE]).err
     for sentence in SAID:
         assert sentence in seen, seen
         assert f"{sentence[0].upper()}{sentence[1:]}." in moved, moved
     assert "are not numbers" not in moved + seen
 
 
-def test_one_frame_for_odom_and_base_is_said(tmp_path, told):
+def test_one_frame_for_odom_and_base_is_said(tmp_path, invoke):
     words = ["--base-frame", "odom", "-v"]
     office, same = FIXTURES / "office.mcap", "he odometry is from odom to odom, one and the same frame"
-    assert f"t{same}" in told(["info", office, *words]).out
-    assert f"T{same}" in told([office, tmp_path / "out.mcap", *words, *NOISE]).err
+    assert f"t{same}" in invoke(["info", office, *words]).out
+    assert f"T{same}" in invoke([office, tmp_path / "out.mcap", *words, *NOISE]).err
 
 
-def test_a_log_time_before_1970_is_no_time_of_an_mcap(tmp_path, told):
+def test_a_log_time_before_1970_is_no_time_of_an_mcap(tmp_path, invoke):
     path = tmp_path / "in.db3"
     path.write_bytes((FIXTURES / "office_ros2" / "office_ros2.db3").read_bytes())
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE messages SET timestamp = -5 WHERE rowid = 3")
-    assert "log time -5 ns: is before 1970" in told([path, tmp_path / "out.mcap", *NOISE], 1).err
+    assert "log time -5 ns: is before 1970" in invoke([path, tmp_path / "out.mcap", *NOISE], 1).err
     assert not (tmp_path / "out.mcap").exists()
     assert run([str(path), str(tmp_path / "out.db3"), *NOISE]) == 0
 
@@ -489,14 +489,14 @@ def strange(tmp_path_factory):
 
 
 @pytest.mark.parametrize("command", ODDITIES)
-def test_oddities_are_counted_and_told(command, strange, tmp_path, told):
+def test_oddities_are_counted_and_told(command, strange, tmp_path, invoke):
     out = tmp_path / "out.mcap"
     words = (
         [str(strange), str(out), *NOISE]
         if command == "corrupt"
         else ["correct", str(strange), str(out), "--effect", "unequal_wheels:curvature=0.01"]
     )
-    said = told([*words, "-v"]).err
+    said = invoke([*words, "-v"]).err
     for sentence in ODDITIES[command]:
         assert sentence in said, said
     before, after = (rows_of(path).position for path in (strange, out))

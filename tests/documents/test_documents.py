@@ -373,14 +373,14 @@ def keys_of(values):
 
 
 @pytest.mark.parametrize(("command", "more"), [("info", ()), ("preview", ("--runs", "2"))])
-def test_the_page_names_the_keys(command, more, told):
+def test_the_page_names_the_keys(command, more, invoke):
     section = JSON_PAGE.split(f"## `{command} --json`", 1)[1].split("\n## ", 1)[0]
     table = [line for line in section.splitlines() if line.startswith("| `")]
     first = [re.findall(r"`([^`]+)`", line.split("|")[1]) for line in table]
     topics = re.findall(r"`(\w+)`", next((line for line in table if line.startswith("| `topics[]`")), ""))
     edges = re.findall(r"`(\w+)`", next((line for line in table if line.startswith("| `edges[]`")), ""))
     named = {code.split(".")[-1].removesuffix("[]") for codes in first for code in codes} | {*topics, *edges}
-    values = json.loads(told([command, OFFICE, "--json", *more]).out)
+    values = json.loads(invoke([command, OFFICE, "--json", *more]).out)
     assert values["schema"] == 2
     assert keys_of(values) - {"schema"} == named
 

@@ -379,15 +379,15 @@ def test_a_class_of_this_folder_acts_as_the_same_words_in_a_model_file_do(folder
         (".Wobble", "cannot be imported"),
     ],
 )
-def test_what_is_no_effect_is_one_line_of_wrong_usage(folder, told, effect, sentence):
-    said = told([OFFICE, "out.mcap", "--effect", effect], 2).err
+def test_what_is_no_effect_is_one_line_of_wrong_usage(folder, invoke, effect, sentence):
+    said = invoke([OFFICE, "out.mcap", "--effect", effect], 2).err
     assert sentence in said
     assert said.count("\n") == 1
 
 
-def test_a_model_file_names_no_code(folder, told):
+def test_a_model_file_names_no_code(folder, invoke):
     Path("robot.toml").write_text(f'schema=1\n[noise]\n{NONE}\n[[effect]]\nname = "sway_in_folder.Wobble"\nk = 0.01\n')
-    assert "no effect is called 'sway_in_folder.Wobble'" in told([OFFICE, "out.mcap", "--model", "robot.toml"], 1).err
+    assert "no effect is called 'sway_in_folder.Wobble'" in invoke([OFFICE, "out.mcap", "--model", "robot.toml"], 1).err
 
 
 @pytest.mark.usefixtures("folder")

@@ -266,18 +266,18 @@ def test_a_gyros_gain_is_not_taken_for_a_track(exported):
     assert "gyro_scale is left out: it is the gain of a heading sensor" in comments(text)
 
 
-def test_a_file_has_the_whole_text_and_the_terminal_eight_lines(tmp_path, exported, told):
+def test_a_file_has_the_whole_text_and_the_terminal_eight_lines(tmp_path, exported, invoke):
     text = exported("ros2_control")[2]
     target = tmp_path / "controller.yaml"
     words = ["export", str(tmp_path / "robot.toml"), "--to", "ros2_control", "-o", str(target)]
-    said = told(words)
+    said = invoke(words)
     assert target.read_text() == text
     assert len((said.out + said.err).splitlines()) <= 8
     assert "left out  side_slip, gauss_markov: comments in the file say why" in said.out
     assert " ros2 run controller_manager spawner diff_drive_controller " in said.out
     assert said.out.splitlines()[0].startswith("EXPORTED")
     assert run(words) == 1
-    assert told([*words, "--force", "-q"]).out == ""
+    assert invoke([*words, "--force", "-q"]).out == ""
 
 
 def test_a_missing_track_is_asked_for(exported):
@@ -335,11 +335,11 @@ def test_what_must_move_is_refused_in_one_line_where_it_does_not(exported, flag)
     assert len(said.splitlines()) == 1
 
 
-def test_an_amcl_without_spread_from_turns_is_said(tmp_path, told):
+def test_an_amcl_without_spread_from_turns_is_said(tmp_path, invoke):
     path = tmp_path / "robot.toml"
     for rot_rot, said in (("0.0", True), ("0.03", False)):
         path.write_text(MODEL.format(law="quadratic", more="").replace("rot_rot = 0.03", f"rot_rot = {rot_rot}"))
-        printed = told(["export", path, "--to", "nav2"])
+        printed = invoke(["export", path, "--to", "nav2"])
         assert YAML().load(printed.out)["amcl"]["ros__parameters"]["update_min_d"] > 0.0
         assert ("no spread from turns" in printed.err) is said
 

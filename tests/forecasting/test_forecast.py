@@ -104,31 +104,31 @@ def test_effects_are_reported_as_the_constant_part():
     assert "of it constant" not in preview_of(model()).details()
 
 
-def test_the_command_prints_a_table_or_values_and_draws(told, tmp_path):
+def test_the_command_prints_a_table_or_values_and_draws(invoke, tmp_path):
     office_bag, picture = str(FIXTURES / "office.mcap"), tmp_path / "fan.svg"
-    captured = told(["preview", "-v", office_bag, "--runs", "3", "--alpha", "0.1", "0", "0", "0", "-o", picture])
+    captured = invoke(["preview", "-v", office_bag, "--runs", "3", "--alpha", "0.1", "0", "0", "0", "-o", picture])
     assert "over /odom: 25.05 m in 59.98 s at 50 Hz\nmodel    Law diffusion, rot_rot 0.1 " in captured.out
     assert picture.read_bytes().startswith(b"<?xml")
     corruption = "--seed 4 --run 3 --keep-truth /x --twist keep --compression lz4 --keep-localisation"
-    assert "runs 3 to 5 of seed 4" in told(["preview", "-v", office_bag, "--runs", "3", *corruption.split()]).out
-    values = json.loads(told(["preview", office_bag, "--runs", "3", "--run", "3", "--json"]).out)
+    assert "runs 3 to 5 of seed 4" in invoke(["preview", "-v", office_bag, "--runs", "3", *corruption.split()]).out
+    values = json.loads(invoke(["preview", office_bag, "--runs", "3", "--run", "3", "--json"]).out)
     assert (values["runs"], values["first_run"]) == (3, 3)
     assert b"message rate" not in picture.read_bytes()
     rated = tmp_path / "rated.svg"
     assert run(["preview", "-v", office_bag, "--runs", "3", "--preset", "article", "-o", str(rated)]) == 0
     assert b"at 50 Hz; the noise depends on the message rate" in rated.read_bytes()
     assert run(["preview", office_bag, "-o", str(tmp_path / "fan.gif")]) == 2
-    assert "exists already" in told(["preview", office_bag, "-o", picture], 1).err
-    captured = told(["preview", office_bag, "-o", tmp_path / "nowhere" / "fan.png"], 1)
+    assert "exists already" in invoke(["preview", office_bag, "-o", picture], 1).err
+    captured = invoke(["preview", office_bag, "-o", tmp_path / "nowhere" / "fan.png"], 1)
     assert (captured.out, "nowhere does not exist; create it first" in captured.err) == ("", True)
 
 
 @pytest.mark.parametrize("command", ["info", "preview"])
-def test_damaged_bags_are_read_on_request_and_what_is_lost_is_said(told, tmp_path, command):
+def test_damaged_bags_are_read_on_request_and_what_is_lost_is_said(invoke, tmp_path, command):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((FIXTURES / "office.mcap").read_bytes()[:200_000])
-    assert "--recover saves the intact part" in told([command, cut], 1).err
-    captured = told([command, cut, "--recover"], 3)
+    assert "--recover saves the intact part" in invoke([command, cut], 1).err
+    captured = invoke([command, cut, "--recover"], 3)
     assert "Lost: " in captured.err
     assert "/odom" in captured.out
 
@@ -287,15 +287,15 @@ def test_odd_covariances_are_named(make, said):
     assert watch.oddity(never_changes=True) == said
 
 
-def test_the_command_prints_text_or_values(capsys, told, tmp_path):
+def test_the_command_prints_text_or_values(capsys, invoke, tmp_path):
     office_bag = str(FIXTURES / "office.mcap")
-    text = told(["info", "-v", office_bag]).out
+    text = invoke(["info", "-v", office_bag]).out
     assert "/odom (odom -> base_link, 50 Hz): the odometry to corrupt" in text
     assert "static edges that stay" in text
     assert run(["info", office_bag, "--json"]) == 0
     wheels = [f"/tf base_link -> wheel_{side}_link" for side in ("left", "right")]
     assert json.loads(capsys.readouterr().out)["still_true"] == ["/imu", *wheels]
-    assert told(["info", tmp_path / "none.bag"], 1).err.count("\n") == 1
+    assert invoke(["info", tmp_path / "none.bag"], 1).err.count("\n") == 1
 
 
 def test_two_publishers_of_one_topic_are_said_and_a_shuttle_or_a_dithering_encoder_is_not():

@@ -338,9 +338,9 @@ def at_once(_imported, tmp_path, monkeypatch, capsys):
 
 @pytest.mark.usefixtures("at_once")
 @pytest.mark.parametrize("name", MODELS)
-def test_a_model_is_refused_at_once(name, told):
+def test_a_model_is_refused_at_once(name, invoke):
     Path("m.toml").write_text(MODELS[name])
-    said = told([OFFICE, "out.mcap", "--model", "m.toml"], 1).err
+    said = invoke([OFFICE, "out.mcap", "--model", "m.toml"], 1).err
     assert said.startswith("odomcorrupt: m.toml: ")
     assert said.count("\n") == 1
     assert len(said) < 2500
@@ -349,7 +349,7 @@ def test_a_model_is_refused_at_once(name, told):
 
 @pytest.mark.usefixtures("at_once")
 @pytest.mark.parametrize("name", MAPS)
-def test_a_map_is_refused_at_once(name, told):
+def test_a_map_is_refused_at_once(name, invoke):
     yaml, image = MAPS[name]
     Path("m.yaml").write_text(yaml)
     with Path("p.pgm").open("wb") as file:
@@ -357,7 +357,7 @@ def test_a_map_is_refused_at_once(name, told):
         if len(image) < 1000 and b"#" not in image:
             columns, rows = map(int, image.split()[1:3])
             file.truncate(len(image) + rows * columns)  # a hole, not on the disk
-    said = told([OFFICE, "out.mcap", "--map", "m.yaml", "--map-pose", "0,0,0", "--seed", "1", "-q"], 1).err
+    said = invoke([OFFICE, "out.mcap", "--map", "m.yaml", "--map-pose", "0,0,0", "--seed", "1", "-q"], 1).err
     assert said.count("\n") == 1
     assert len(said) < 2500
     assert not Path("out.mcap").exists()

@@ -53,12 +53,12 @@ def test_the_options_that_a_found_file_may_set_are_these():
 
 
 @pytest.mark.parametrize("table", ["", "[{}]\n"], ids=["top level", "own table"])
-def test_any_other_option_in_a_found_file_is_an_error_that_names_the_key_and_the_way_out(folder, told, table):
+def test_any_other_option_in_a_found_file_is_an_error_that_names_the_key_and_the_way_out(folder, invoke, table):
     assert len(REFUSED) > 200
     for name, word in REFUSED:
         (folder / "odomcorrupt.toml").write_text(f"{table.format(name)}{word.replace('-', '_')} = 1\n")
         # without its arguments, the command would fail later
-        said = told([name, "x"], 2).err
+        said = invoke([name, "x"], 2).err
         assert word.replace("-", "_") in said
         assert "--config odomcorrupt.toml" in said
         assert said.count("\n") == 1
@@ -80,9 +80,9 @@ def test_a_file_given_by_hand_sets_any_option(folder):
     ],
     ids=lambda words: words[0].rpartition("/")[2],
 )  # fmt: skip
-def test_no_file_of_defaults_names_code(folder, told, words, given):
+def test_no_file_of_defaults_names_code(folder, invoke, words, given):
     (folder / "odomcorrupt.toml").write_text('effect = ["wheel_scale:e=0.01", "evil.Wobble:k=1"]\n')
-    assert "evil.Wobble:k=1: names code" in told([*words, *given], 2).err
+    assert "evil.Wobble:k=1: names code" in invoke([*words, *given], 2).err
     assert sorted(path.name for path in folder.iterdir()) == ["evil.py", "odomcorrupt.toml"]
 
 

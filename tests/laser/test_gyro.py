@@ -87,10 +87,10 @@ def test_wheels_or_gyro_as_the_source_of_the_heading_is_reported_by_what_they_sa
 
 
 @pytest.mark.slow
-def test_wheels_and_gyro_alone_name_a_wrong_track_and_no_travel(tmp_path, told):
+def test_wheels_and_gyro_alone_name_a_wrong_track_and_no_travel(tmp_path, invoke):
     simulated = drive(23, "wheelbase", 180.0, parameters={"e": 0.06}, yaw_from="encoders", route="slalom")
     path = bag(tmp_path / "run.mcap", simulated)
-    said = json.loads(told(["diagnose", path, "--json"]).out)
+    said = json.loads(invoke(["diagnose", path, "--json"]).out)
     effects = {one["effect"]: one for one in said["found"] if one["kind"] == "effect"}
     assert list(effects) == ["wheelbase"]
     value = effects["wheelbase"]["parameters"]["e"]
@@ -141,19 +141,19 @@ def test_what_happened_once_is_a_turn_where_a_gyro_alone_is_the_truth(tmp_path):
     assert event.yaw_rad == pytest.approx(0.5, abs=0.05)
 
 
-def test_a_model_needs_travel_and_a_gyro_has_none(tmp_path, told):
+def test_a_model_needs_travel_and_a_gyro_has_none(tmp_path, invoke):
     path = bag(tmp_path / "run.mcap", drive(duration_s=40.0))
-    assert "do not measure travel" in told(["learn", path], 1).err
+    assert "do not measure travel" in invoke(["learn", path], 1).err
 
 
-def test_a_gyro_of_another_robot_is_refused_where_it_is_named(tmp_path, told):
+def test_a_gyro_of_another_robot_is_refused_where_it_is_named(tmp_path, invoke):
     one, other = drive(11, duration_s=60.0), drive(99, duration_s=60.0)
     stamps, rates = gyro_of(other)
     shifted = stamps - stamps[0] + one.odom_stamps_ns[0]
     path = laserbags.write(
         tmp_path / "run.mcap", laserbags.odometry(one.odom_stamps_ns, one.odom_xyt), laserbags.imu(shifted, rates)
     )
-    assert "turns unlike the odometry" in told(["diagnose", path, "--imu", "/imu/data"], 1).err
+    assert "turns unlike the odometry" in invoke(["diagnose", path, "--imu", "/imu/data"], 1).err
 
 
 def walking(path, seed, walk, cause=None, **options):
@@ -261,7 +261,7 @@ def test_counts_of_an_encoder_are_seen_and_the_wheels_can_be_the_odometry(tmp_pa
     assert np.linalg.norm(recording.odometry.xyt[-1, :2] - own.odometry.xyt[-1, :2]) < 0.2
 
 
-def test_wheels_that_the_odometry_does_not_turn_by_are_no_odometry(tmp_path, told):
+def test_wheels_that_the_odometry_does_not_turn_by_are_no_odometry(tmp_path, invoke):
     path = counting(tmp_path / "run.mcap", heading_off=0.2)
-    assert "turns are not those of" in told(["fit", path, "--joints", "wheel_left_joint", "wheel_right_joint"], 1).err
-    assert "--joints" in told(["fit", path, "--joints", "wheel_left_joint", "right"], 1).err
+    assert "turns are not those of" in invoke(["fit", path, "--joints", "wheel_left_joint", "wheel_right_joint"], 1).err
+    assert "--joints" in invoke(["fit", path, "--joints", "wheel_left_joint", "right"], 1).err

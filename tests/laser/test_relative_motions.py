@@ -160,17 +160,17 @@ def test_drives_that_come_back_show_unequal_wheels_and_the_track(tmp_path):
         fit_returns(files, [(0.0, 0.0, 1.5), (0.0, 0.0, 3.0)], track_m=track)
 
 
-def test_squares_one_way_round_do_not_tell_wheels_from_track(tmp_path, told):
+def test_squares_one_way_round_do_not_tell_wheels_from_track(tmp_path, invoke):
     square = np.concatenate([np.tile([0.03, 0.0], (100, 1)), np.tile([0.0, np.pi / 200.0], (100, 1))] * 4)
     ds, dtheta = square.T
     xyt = accumulate(np.zeros(3), Increments(ds, np.zeros_like(ds), dtheta))
     path = written(tmp_path / "square.csv", "time [s],x,y,yaw", 0.05 * np.arange(len(xyt)), *xyt.T)
-    assert "the other way round" in told(["fit", path, "--returns"], 1).err
-    assert "x,y,yaw" in told(["fit", path, "--end", "0,0"], 2).err
+    assert "the other way round" in invoke(["fit", path, "--returns"], 1).err
+    assert "x,y,yaw" in invoke(["fit", path, "--end", "0,0"], 2).err
 
 
-def test_a_drive_that_did_not_come_back_is_refused(told):
-    assert "ends 7.87 m and 116 deg from the first pose" in told(["fit", "fixtures/mystery.mcap", "--returns"], 1).err
+def test_a_drive_that_did_not_come_back_is_refused(invoke):
+    assert "ends 7.87 m and 116 deg from the first pose" in invoke(["fit", "fixtures/mystery.mcap", "--returns"], 1).err
 
 
 LASER = RECORDINGS / "laser"

@@ -189,10 +189,10 @@ def test_a_strained_map_has_the_residuals_of_its_column(column, strain):
 
 
 @pytest.mark.slow
-def test_maps_by_the_laser_are_those_of_the_command_line(tmp_path, told):
+def test_maps_by_the_laser_are_those_of_the_command_line(tmp_path, invoke):
     bag = raycaster.drive(tmp_path / "run.mcap", stated=(0.1, 0.0, 0.0), rate_hz=2.0)
     words = ["map", str(bag), "--method", "laser", "--seed", "2", "-o", str(tmp_path / "b.yaml"), "--json"]
-    values = json.loads(told(words).out)
+    values = json.loads(invoke(words).out)
     stages = []
     done = oc.draw_maps(bag, method="laser", seed=2, watch=lambda stage, _: stages.append(stage))
     assert done.to_dict() == values
@@ -387,10 +387,10 @@ def test_scans_that_show_no_motion_are_refused_in_one_line(tmp_path, faults, wor
     assert "\n" not in str(refused.value)
 
 
-def test_of_two_lasers_one_has_to_be_named(tmp_path, told):
+def test_of_two_lasers_one_has_to_be_named(tmp_path, invoke):
     path = raycaster.drive(tmp_path / "run.mcap", twice=True, rate_hz=2.0)
-    assert "--scan /scan or --scan /scan_rear" in told(["learn", path], 1).err
-    said = told(["learn", path, "--scan", "/scan_front"], 1).err
+    assert "--scan /scan or --scan /scan_rear" in invoke(["learn", path], 1).err
+    said = invoke(["learn", path, "--scan", "/scan_front"], 1).err
     assert "/scan_rear" in said
     assert "--scan" in said
 
@@ -413,9 +413,9 @@ def test_a_laser_is_left_out_on_demand_and_the_refusal_of_a_corridor_says_how(tm
     assert not recording.positioned
 
 
-def test_a_map_in_two_parts_is_drawn_of_the_larger_one_and_scans_that_are_missing_are_said(tmp_path, told):
+def test_a_map_in_two_parts_is_drawn_of_the_larger_one_and_scans_that_are_missing_are_said(tmp_path, invoke):
     path = raycaster.drive(tmp_path / "run.mcap", stated=(0.1, 0.0, 0.0), rate_hz=2.0, missing_s=(20.0, 24.0))
-    topics = {topic["topic"]: topic for topic in json.loads(told(["info", path, "--json"]).out)["topics"]}
+    topics = {topic["topic"]: topic for topic in json.loads(invoke(["info", path, "--json"]).out)["topics"]}
     assert topics["/scan"]["longest_gap_s"] == pytest.approx(4.5)
     matched = laser_run(path, "run", None, "/scan")
     assert any("no scans for 4.5 s from 19.7 s on" in note for part in truth_of(matched) for note in part.notes)
@@ -459,8 +459,8 @@ def test_where_a_drive_ended_is_seen_by_its_scans(tmp_path, mount):
 
 
 @pytest.mark.slow
-def test_a_drive_that_ends_elsewhere_is_refused_in_one_line(tmp_path, told):
+def test_a_drive_that_ends_elsewhere_is_refused_in_one_line(tmp_path, invoke):
     bag = raycaster.drive(tmp_path / "run.mcap", stated=(0.1, 0.0, 0.0))
-    said = told(["fit", bag, "--returns", "--scan", "/scan"], 1).err.strip()
+    said = invoke(["fit", bag, "--returns", "--scan", "/scan"], 1).err.strip()
     assert "--end" in said
     assert run(["fit", str(bag), "--end", "1,0,0", "--scan", "/scan"]) == 2

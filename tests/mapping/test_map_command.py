@@ -105,8 +105,8 @@ def test_laser_pose_replaces_tf():
     ("arguments", "word"),
     [(["--scan", "/nope"], "/scan"), (["--resolution", "0.0001"], "--resolution"), (["--truth", "/imu"], "Imu")],
 )
-def test_what_cannot_be_mapped_is_reported_in_one_line(arguments, word, told):
-    lines = told(["map", OFFICE, "--seed", "1", *arguments], 1).err.strip().splitlines()
+def test_what_cannot_be_mapped_is_reported_in_one_line(arguments, word, invoke):
+    lines = invoke(["map", OFFICE, "--seed", "1", *arguments], 1).err.strip().splitlines()
     assert len(lines) == 1
     assert word in lines[0]
 
@@ -133,7 +133,7 @@ def ends(path):
         (OLIN_BAGS / "macfirst_floor_take_2", OLIN_BAGS / "maps" / "mac_1st_floor_final.yaml", "-0.25,0.12,4deg", 7),
     ],
 )
-def test_no_pose_is_in_a_wall_with_the_map_and_some_are_without(command, bag, yaml, pose, seed, tmp_path, told):
+def test_no_pose_is_in_a_wall_with_the_map_and_some_are_without(command, bag, yaml, pose, seed, tmp_path, invoke):
     where = [] if pose is None else ["--map-pose", pose]
     found = read_map_from_odom(bag, "map", "odom") if pose is None else np.array(pose_of(pose))
     walls = free_space(read_map(yaml), 0.0, unknown="free", map_from_odom=found)
@@ -144,7 +144,7 @@ def test_no_pose_is_in_a_wall_with_the_map_and_some_are_without(command, bag, ya
             "sample": ["sample", str(bag), "-n", "40", "--every", "0.5", "--seed", "3", "-o", str(out)],
             "corrupt": [str(bag), str(out), "--seed", str(seed)],
         }[command]
-        assert ("drawn again" in told([*words, "--alpha", *["0.1"] * 4, *more]).err) is (name == "with")
+        assert ("drawn again" in invoke([*words, "--alpha", *["0.1"] * 4, *more]).err) is (name == "with")
         free = walls.free(ends(out) if command == "sample" else read_drive(out, "/odom").xyt[:, :2])
         assert free.all() is np.bool_(name == "with")
 
@@ -167,8 +167,8 @@ def test_lecture_star_is_not_reached_by_a_path(tmp_path):
     ("arguments", "code", "word"),
     [(["--map", "/map"], 2, ".yaml"), (["--map-pose", "0,0,0"], 2, "--map"), (["--map", "gone.yaml"], 1, "gone.yaml")],
 )
-def test_map_that_is_not_there_is_reported_in_one_line(arguments, code, word, told):
-    lines = told(["sample", "--seed", "1", *arguments], code).err.strip().splitlines()
+def test_map_that_is_not_there_is_reported_in_one_line(arguments, code, word, invoke):
+    lines = invoke(["sample", "--seed", "1", *arguments], code).err.strip().splitlines()
     assert len(lines) == 1
     assert word in lines[0]
 
@@ -203,9 +203,9 @@ def feed(monkeypatch, path):
 
 
 @pytest.mark.slow
-def test_file_and_pipe_give_the_same_bytes_and_the_map_is_noted_in_them(corridor, tmp_path, told, monkeypatch):
+def test_file_and_pipe_give_the_same_bytes_and_the_map_is_noted_in_them(corridor, tmp_path, invoke, monkeypatch):
     words = ["--seed", "7", *ALPHA, "--odom-topic", "/odom", "--map", str(corridor), "--map-pose", "0,0,0"]
-    said = told([OFFICE, tmp_path / "a.mcap", *words, "--robot-radius", "0"]).err
+    said = invoke([OFFICE, tmp_path / "a.mcap", *words, "--robot-radius", "0"]).err
     assert int(said.split("Map: ")[1].split(" of ")[0]) > 100
     feed(monkeypatch, OFFICE)
     assert run(["-", str(tmp_path / "b.mcap"), *words, "--robot-radius", "0"]) == 0
@@ -234,10 +234,10 @@ def test_without_noise_the_file_is_copied(corridor, tmp_path):
         (["--robot-radius", "0.1"], 2, "needs a map; name it with --map"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_line_and_leaves_nothing(more, code, word, corridor, tmp_path, told):
+def test_what_cannot_be_is_refused_in_one_line_and_leaves_nothing(more, code, word, corridor, tmp_path, invoke):
     words = [str(corridor) if one == "MAP" else one for one in more]
     before = set(tmp_path.iterdir())
-    lines = told([OFFICE, tmp_path / "out.mcap", *ALPHA, "--seed", "1", *words], code).err.strip().splitlines()
+    lines = invoke([OFFICE, tmp_path / "out.mcap", *ALPHA, "--seed", "1", *words], code).err.strip().splitlines()
     assert len(lines) == 1
     assert word in lines[0]
     assert set(tmp_path.iterdir()) == before
@@ -251,7 +251,7 @@ def test_pipe_needs_a_map_file_and_a_pose(corridor, tmp_path, capsys, monkeypatc
 
 
 @pytest.mark.slow
-def test_batches_and_pipes_draw_whole_paths_where_single_increments_are_stuck(corridor, tmp_path, told, monkeypatch):
+def test_batches_and_pipes_draw_whole_paths_where_single_increments_are_stuck(corridor, tmp_path, invoke, monkeypatch):
     monkeypatch.chdir(tmp_path)
     short = FIXTURES / "office_ros2"
     # few tries are what narrow places do: an increment is given up soon
@@ -261,7 +261,7 @@ def test_batches_and_pipes_draw_whole_paths_where_single_increments_are_stuck(co
     whole = 0
     for number in range(3):
         single = tmp_path / f"single{number}.mcap"
-        whole += "one of 64 paths, resampled" in told([short, single, "--run", number, "-v", *words]).err
+        whole += "one of 64 paths, resampled" in invoke([short, single, "--run", number, "-v", *words]).err
         assert single.read_bytes() == (tmp_path / "runs" / f"run_{number:06d}.mcap").read_bytes()
     assert whole > 0
     assert run([str(short), "plain.mcap", "--effect", "wheel_scale:e=0", "-q"]) == 0

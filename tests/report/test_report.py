@@ -202,9 +202,9 @@ def test_what_is_not_finite_becomes_null_at_any_depth_and_numpy_becomes_plain():
 
 
 @pytest.fixture
-def compared(told, case):
-    """Return a function of what follows the bag of the case: what `compare` prints; see `told`."""
-    return lambda *more, code=0: told(["compare", case.bag, *more], code)
+def compared(invoke, case):
+    """Return a function of what follows the bag of the case: what `compare` prints; see `invoke`."""
+    return lambda *more, code=0: invoke(["compare", case.bag, *more], code)
 
 
 def test_it_prints_horizons_verdicts_and_sentences(case, compared):

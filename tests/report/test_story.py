@@ -470,21 +470,21 @@ def found(monkeypatch, rich):
     monkeypatch.setattr("odomcorrupt.study.pipeline.advise", lambda _learned: ADVICE)
 
 
-def test_diagnose_says_in_the_terminal_what_to_type_next(found, rich, case, tmp_path, told, monkeypatch):
+def test_diagnose_says_in_the_terminal_what_to_type_next(found, rich, case, tmp_path, invoke, monkeypatch):
     monkeypatch.setattr("odomcorrupt.study.pipeline.learn", lambda *_args, **_named: replace(rich, laws=()))
     words = ["diagnose", "-v", str(case.bag), "--track", str(case.recording.track_m)]
     words += ["--drive", str(tmp_path / "next.mcap")]
-    out, err = told(words)
+    out, err = invoke(words)
     assert "held-out position error (RMS):" in out
     _, _, following = " ".join(out.replace("\\\n", " ").split()).rpartition(" next")
     assert following.lstrip(": ").startswith("odomcorrupt fit ")
     assert following.endswith("--add unequal_wheels -o robot.toml")
     assert f"wrote {tmp_path / 'next.mcap'}: " in err
-    assert "--overwrite" in told(words, 1).err
+    assert "--overwrite" in invoke(words, 1).err
 
 
-def test_where_a_law_is_included_learn_comes_next_because_it_alone_writes_laws(found, case, told):
-    out = told(["diagnose", "-v", case.bag, "--track", case.recording.track_m]).out
+def test_where_a_law_is_included_learn_comes_next_because_it_alone_writes_laws(found, case, invoke):
+    out = invoke(["diagnose", "-v", case.bag, "--track", case.recording.track_m]).out
     _, _, following = " ".join(out.replace("\\\n", " ").split()).rpartition(" next")
     assert following.lstrip(": ").startswith(f"odomcorrupt learn {case.bag} ")
     assert following.endswith(f"--track {case.recording.track_m:g} -o robot.toml")
@@ -497,15 +497,15 @@ def test_where_a_law_is_included_learn_comes_next_because_it_alone_writes_laws(f
      ("diagnose {bag} --drive next.bag", "next.bag: ends in .bag; write .mcap"),
      ("fit {bag} {model}", "is a model; pass it with --start")],
 )  # fmt: skip
-def test_what_cannot_be_meant_is_refused_before_any_work(words, said, case, told):
+def test_what_cannot_be_meant_is_refused_before_any_work(words, said, case, invoke):
     typed = [word.format(bag=case.bag, model=case.base, other=case.robot) for word in words.split()]
-    err = told(typed, 2).err
+    err = invoke(typed, 2).err
     assert said in err
     assert err.count("\n") == 1
 
 
 @pytest.mark.slow
-def test_learn_writes_model_page_picture_and_drive(found, case, sequence, fitted, tmp_path, told, monkeypatch):
+def test_learn_writes_model_page_picture_and_drive(found, case, sequence, fitted, tmp_path, invoke, monkeypatch):
     asked = []
     monkeypatch.setattr("odomcorrupt.study.pipeline.fit_robot", lambda *_args, **_named: fitted)
     module = "odomcorrupt.study.pipeline"
@@ -515,13 +515,13 @@ def test_learn_writes_model_page_picture_and_drive(found, case, sequence, fitted
     monkeypatch.chdir(tmp_path)
     words = ["learn", "-v", str(case.bag), "--track", str(case.recording.track_m)]
     files = {"-o": "robot.toml", "--report": "all.html", "--plot": "fall.svg", "--drive": "next.mcap"}
-    out, err = told([*words, *(word for pair in files.items() for word in pair)])
+    out, err = invoke([*words, *(word for pair in files.items() for word in pair)])
     assert all((tmp_path / name).stat().st_size > 0 for name in files.values())
     assert all(f"wrote {name}" in err for name in files.values())
     assert "missing, in the order of evidence" in out
     assert list(asked[0]) == ["without effects", "with unequal_wheels, yaw over speed, gauss_markov"]
     assert (tmp_path / "all.html").read_text().endswith("odomcorrupt sim.bag noisy.bag --model robot.toml")
-    printed = json.loads(told([*words, "--json", "--force"]).out, parse_constant=pytest.fail)
+    printed = json.loads(invoke([*words, "--json", "--force"]).out, parse_constant=pytest.fail)
     assert printed["comparison"]["models"][0]["name"] == sequence.evaluations[0].name
 
 
@@ -557,8 +557,8 @@ def choice(*names, plan=BACK):
      ((choice("lever_arm", "icr_shift", plan=None),), "lever_arm from icr_shift; no drive of ten minutes would")],
 )  # fmt: skip
 def test_one_sentence_names_every_pair_once_and_the_drive(choices, sentence):
-    told = said(*choices).removesuffix(", for 3 minutes").removeprefix("These data cannot separate ")
-    assert told == sentence
+    invoke = said(*choices).removesuffix(", for 3 minutes").removeprefix("These data cannot separate ")
+    assert invoke == sentence
     assert said(*choices).endswith(", for 3 minutes") == ("drive straight" in sentence)
 
 

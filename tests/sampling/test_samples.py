@@ -369,9 +369,9 @@ def test_what_has_no_place_in_the_other_law_is_reported():
     assert convert(sideways, law_named("omni"), STEP).coefficients.across_trans > 0
 
 
-def test_command_prints_what_to_type_next(capsys, told):
+def test_command_prints_what_to_type_next(capsys, invoke):
     arguments = ["convert-alpha", "0.1", "0.05", "0.04", "0.02", "--from", "quadratic", "--step", "0.25m"]
-    said = told([*arguments, "--to", "diffusion"]).out.replace(" \\\n", " ").split()
+    said = invoke([*arguments, "--to", "diffusion"]).out.replace(" \\\n", " ").split()
     assert " ".join(said).endswith("next odomcorrupt in.bag out.bag --law diffusion --alpha 0.1 0.158114 0.1 0.0447214")
     assert run([*arguments, "--to", "diffusion", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["to"]["coefficients"]["rot_rot"] == pytest.approx(0.1)
@@ -386,9 +386,9 @@ def test_every_law_is_in_the_table():
     assert set(LAWS) <= named
 
 
-def test_session_on_the_page_is_what_the_command_prints(told):
+def test_session_on_the_page_is_what_the_command_prints(invoke):
     session = re.search(r"```\n\$ odomcorrupt (.*?)\n(.*?)```", PAGE, re.DOTALL)
-    assert told(session[1].split()).out == session[2]
+    assert invoke(session[1].split()).out == session[2]
 
 
 @pytest.mark.parametrize("name", ["linear", "quadratic", "velocity", "omni"])
@@ -418,9 +418,9 @@ def test_same_numbers_differ_between_laws_as_the_page_says():
         assert np.sqrt(10.0 * drift_of(noise).rot_trans) == pytest.approx(float(value), abs=0.005)
 
 
-def test_article_banana_needs_no_more_words(tmp_path, told):
+def test_article_banana_needs_no_more_words(tmp_path, invoke):
     picture = tmp_path / "banana.png"
-    said = told(["sample", "-o", picture]).out
+    said = invoke(["sample", "-o", picture]).out
     assert "1000 of seed" in said
     assert "rot_trans 0.2618" in said
     assert picture.read_bytes().startswith(b"\x89PNG")
@@ -443,8 +443,8 @@ def test_csv_and_json_hold_the_same_samples(tmp_path):
     np.testing.assert_allclose(content["samples"]["covariance"], np.cov(np.transpose(rows)))
 
 
-def test_article_code_says_what_it_means(told):
-    assert "sd*sd" in told(["sample", "-v", "--law", "article-code", "--seed", "1"]).out
+def test_article_code_says_what_it_means(invoke):
+    assert "sd*sd" in invoke(["sample", "-v", "--law", "article-code", "--seed", "1"]).out
 
 
 @pytest.mark.parametrize(
@@ -464,23 +464,23 @@ def test_article_code_says_what_it_means(told):
         (["convert-alpha", "1", "1", "1", "1", "--from", "cubic", "--to", "linear"], "cubic"),
     ],
 )
-def test_wrong_usage_is_reported_in_one_line(arguments, word, told):
-    lines = told(arguments, 2).err.strip().splitlines()
+def test_wrong_usage_is_reported_in_one_line(arguments, word, invoke):
+    lines = invoke(arguments, 2).err.strip().splitlines()
     assert len(lines) == 1
     assert word in lines[0]
 
 
-def test_start_alone_moves_the_examples_motion(told):
+def test_start_alone_moves_the_examples_motion(invoke):
     parts = []
     for start in ([], ["--start", "5,-3,0.1"]):
-        content = json.loads(told(["sample", "--seed", "1", "--json", *start]).out)
+        content = json.loads(invoke(["sample", "--seed", "1", "--json", *start]).out)
         parts.append([content[name] for name in ("rot1_rad", "trans_m", "rot2_rad")])
     np.testing.assert_allclose(parts[0], parts[1], atol=1e-12)
 
 
-def test_density_is_printed_and_drawn(tmp_path, told):
+def test_density_is_printed_and_drawn(tmp_path, invoke):
     picture = tmp_path / "density.svg"
-    out = told(["density", "-o", picture, "--seed", "1", "--at", "0.2,0.35,10deg"]).out
+    out = invoke(["density", "-o", picture, "--seed", "1", "--at", "0.2,0.35,10deg"]).out
     integral = float(re.search(r"end poses: ([\d.]+)", out)[1])
     assert integral == pytest.approx(1.0, abs=1e-3)
     assert float(re.search(r"10 deg\): ([\d.]+)", out)[1]) > 100
@@ -559,9 +559,9 @@ def test_euler_is_within_two_centimetres_of_the_truth(tmp_path, capsys):
 
 @pytest.mark.slow
 @pytest.mark.recordings
-def test_hundred_noisy_runs_surround_the_truth(tmp_path, told):
+def test_hundred_noisy_runs_surround_the_truth(tmp_path, invoke):
     arguments = ["--twist-noise", "0.2", "0.04", "--runs", "100", "--seed", "1", "--plot", str(tmp_path / "runs.png")]
-    said = told(["integrate", "-v", GAZEBO, "--integrate", "euler", *arguments]).out
+    said = invoke(["integrate", "-v", GAZEBO, "--integrate", "euler", *arguments]).out
     # white noise of 0.04 rad/s over 12956 intervals of 10 or 20 ms
     heading = float(re.search(r"([\d.]+) rad away", said)[1])
     drive = read_drive(GAZEBO, None)
@@ -597,8 +597,8 @@ def test_transform_says_what_the_odometry_says(tmp_path):
     assert np.median(away) < 1e-6
 
 
-def test_truth_of_a_wrong_type_is_named(told):
-    assert "TFMessage" in told(["integrate", OFFICE, "--truth", "/tf"], 1).err
+def test_truth_of_a_wrong_type_is_named(invoke):
+    assert "TFMessage" in invoke(["integrate", OFFICE, "--truth", "/tf"], 1).err
 
 
 NOISE = oc.Noise(alpha=(0.05, 0.02, 0.05, 0.01))
@@ -641,10 +641,10 @@ def test_last_place_is_the_end_and_no_place_is_near_it():
     np.testing.assert_allclose(drive.distance_m[places_along(drive, 5.0)], [5, 10.1], atol=0.05)
 
 
-def test_command_writes_every_run(tmp_path, told):
+def test_command_writes_every_run(tmp_path, invoke):
     names = [tmp_path / f"cloud.{end}" for end in ("csv", "json", "png")]
     for name in names:
-        assert f"wrote {name}" in told(["sample", OFFICE, "-n", "6", "--every", "10", "--seed", "1", "-o", name]).err
+        assert f"wrote {name}" in invoke(["sample", OFFICE, "-n", "6", "--every", "10", "--seed", "1", "-o", name]).err
     assert names[2].read_bytes().startswith(b"\x89PNG")
     with names[0].open() as file:
         rows = list(csv.DictReader(file))

@@ -145,12 +145,12 @@ def test_a_sweep_is_one_report(sweep):
     )
 
 
-def test_a_sweep_is_a_table_of_points_everywhere(sweep, tmp_path, told):
+def test_a_sweep_is_a_table_of_points_everywhere(sweep, tmp_path, invoke):
     files = {name: tmp_path / name for name in ("t.csv", "t.md", "t.xml", "t.png")}
     options = zip(("--csv", "--markdown", "--junit", "--plot"), files.values(), strict=True)
     given = [word for option, file in options for word in (option, str(file))]
     gate = ["--fail-if", "ate_median > 0.001", "--fail-if", "lost > 99%"]
-    shown = told(["score", sweep, "--estimate", "/odom", "--align", "origin", *given, *gate], 1).out
+    shown = invoke(["score", sweep, "--estimate", "/odom", "--align", "origin", *given, *gate], 1).out
     head = next(line for line in shown.splitlines() if line.startswith("points"))
     assert head.split() == ["points", "drift", "runs", "lost", "median", "ATE", "p90", "point"]
     rows = list(csv.DictReader(files["t.csv"].read_text().splitlines()))
@@ -169,24 +169,24 @@ def test_a_sweep_is_a_table_of_points_everywhere(sweep, tmp_path, told):
     assert files["t.png"].stat().st_size > 10_000
 
 
-def test_the_estimate_of_the_recording_is_no_estimate_of_its_runs(batch, estimates, told):
+def test_the_estimate_of_the_recording_is_no_estimate_of_its_runs(batch, estimates, invoke):
     for path in estimates.glob("run_*.tum"):
         shutil.copy(batch / "trajectories" / "run_000000.tum", path)
     words = ["score", str(batch / "trajectories"), "--outputs", str(estimates)]
     for gate, code, first in (([], 0, "IDENTICAL"), (["--fail-if", "ate_median > 9"], 1, "FAILED")):
-        said = told([*words, *gate], code).out
+        said = invoke([*words, *gate], code).out
         assert said.startswith(first)
         assert "your localisation was not run again" in re.sub(r"\s+", " ", said)
 
 
-def test_poses_in_two_frames_are_subtracted_on_demand_only(batch, tmp_path, told):
+def test_poses_in_two_frames_are_subtracted_on_demand_only(batch, tmp_path, invoke):
     (tmp_path / "truth.tum").write_bytes((batch / "full" / "clean.tum").read_bytes())
     shutil.copytree(batch / "full", tmp_path / "runs")
     shutil.rmtree(tmp_path / "runs" / ".parts")
     records = tmp_path / "runs" / "manifest.jsonl"
     records.write_text(records.read_text().replace('"odom_frame": "odom"', '"odom_frame": "wheels"'))
     words = ["score", str(tmp_path / "runs"), "--estimate", "/odom"]
-    said = told([*words, "--align", "none"], 1).err
+    said = invoke([*words, "--align", "none"], 1).err
     for part in ("frame odom", "truth in wheels", "--truth", "--align rigid"):
         assert part in said
     for fine in (["same"], ["rigid"], ["none", "--truth-bag", str(tmp_path / "truth.tum")]):
@@ -194,10 +194,10 @@ def test_poses_in_two_frames_are_subtracted_on_demand_only(batch, tmp_path, told
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_baseline_and_turns_red_against_it(batch, estimates, tmp_path, told):
+def test_the_command_writes_a_baseline_and_turns_red_against_it(batch, estimates, tmp_path, invoke):
     words = ["score", str(batch / "trajectories"), "--outputs", str(estimates), "--align", "none"]
     base, page, picture = (tmp_path / name for name in ("last.json", "page.html", "score.png"))
-    text = told([*words, "--save", base, "--report", page, "-o", picture, "-v"]).out
+    text = invoke([*words, "--save", base, "--report", page, "-o", picture, "-v"]).out
     assert "0 of 10 runs failed" in text
     assert text.count("run_0000") == 10
     assert page.read_text().count("<img") == 3
@@ -205,8 +205,8 @@ def test_the_command_writes_a_baseline_and_turns_red_against_it(batch, estimates
     gate = ["--baseline", str(base), "--fail-if", "ate_p90 +20%"]
     assert run([*words, *gate]) == 0
     localise(batch / "trajectories", estimates, 0.15)
-    assert "FAILED" in told([*words, *gate], 1).out
-    said = told([*words, *gate, "--json"], 1)
+    assert "FAILED" in invoke([*words, *gate], 1).out
+    said = invoke([*words, *gate, "--json"], 1)
     table = json.loads(said.out)
     assert table["verdicts"][0]["comparison"]["ratio"] == pytest.approx(1.5, rel=1e-3)
     assert "FAILED" in said.err
@@ -223,10 +223,10 @@ def test_the_command_writes_a_baseline_and_turns_red_against_it(batch, estimates
     (["--truth", "/nowhere"], 1, "Name another with --truth"),
     (["--outputs", "FULL", "--estimate", "/nowhere"], 1, "Name another with --estimate")],
 )  # fmt: skip
-def test_wrong_words_are_refused_in_one_line(batch, estimates, tmp_path, told, words, code, said):
+def test_wrong_words_are_refused_in_one_line(batch, estimates, tmp_path, invoke, words, code, said):
     (tmp_path / "base.json").write_text("[]")
     given = [word.replace("BASE", str(tmp_path / "base.json")).replace("FULL", str(batch / "full")) for word in words]
-    error = told(["score", batch / "trajectories", "--outputs", estimates, *given], code).err
+    error = invoke(["score", batch / "trajectories", "--outputs", estimates, *given], code).err
     assert said in error
     assert error.count("\n") == 1
 
@@ -249,9 +249,9 @@ def test_the_first_word_is_the_gates_result_and_the_exit_code(batch, estimates, 
         assert any(line.startswith("gate") for line in lines) == bool(gate)
 
 
-def test_the_json_page_names_every_key(batch, estimates, told):
+def test_the_json_page_names_every_key(batch, estimates, invoke):
     spoil(estimates / "run_000005.tum", shift_m=3.0)
-    table = json.loads(told(["score", batch / "trajectories", "--outputs", estimates, "--json"]).out)
+    table = json.loads(invoke(["score", batch / "trajectories", "--outputs", estimates, "--json"]).out)
     page = (ROOT / "docs" / "json.md").read_text()
     section = page.split("## `score --json`", 1)[1].split("\n## ", 1)[0]
     missing = {key for key in keys_of(table) if f"`{key}`" not in section and f"`{key}[]`" not in section}

@@ -137,9 +137,9 @@ def test_every_third_scan_is_kept_and_has_the_errors_that_it_has_among_all(sourc
         assert [(c.topic, m.sequence, m.publish_time) for _, c, m in now if c.topic != "/scan"] == times
 
 
-def test_a_batch_and_a_pipe_keep_the_same_scans(tmp_path, monkeypatch, told):
+def test_a_batch_and_a_pipe_keep_the_same_scans(tmp_path, monkeypatch, invoke):
     words = ["--seed", "5", "--odom", "/odom", "--scan-every", "4"]
-    assert "/scan 75 scans kept" in told([FIXTURES / "office.mcap", tmp_path / "one.mcap", *words]).err
+    assert "/scan 75 scans kept" in invoke([FIXTURES / "office.mcap", tmp_path / "one.mcap", *words]).err
     assert run(["batch", str(FIXTURES / "office.mcap"), str(tmp_path / "runs"), "--runs", "1", *words]) == 0
     assert (tmp_path / "runs" / "run_000000.mcap").read_bytes() == (tmp_path / "one.mcap").read_bytes()
     with (FIXTURES / "office.mcap").open("rb") as stream:
@@ -158,12 +158,12 @@ def test_a_batch_and_a_pipe_keep_the_same_scans(tmp_path, monkeypatch, told):
     (["--imu", KALIBR.format(0.1, -1, 0, 0)], 1, "gyroscope_random_walk is -1"),
     (["--imu", KALIBR.format(0, 0, 0, 0).replace("200.0", "0")], 1, "update_rate is 0"),
 ])  # fmt: skip
-def test_what_is_no_noise_is_one_line(words, code, said, tmp_path, monkeypatch, told):
+def test_what_is_no_noise_is_one_line(words, code, said, tmp_path, monkeypatch, invoke):
     monkeypatch.chdir(tmp_path)
     if words[0] == "--imu" and words[1] != "none.yaml":
         (tmp_path / "imu.yaml").write_text(words[1])
         words = ["--imu", "imu.yaml"]
-    text = told([FIXTURES / "office.mcap", "out.mcap", *words], code).err
+    text = invoke([FIXTURES / "office.mcap", "out.mcap", *words], code).err
     assert said in " ".join(text.split())
     assert text.count("\n") <= 2
     assert not Path("out.mcap").exists()

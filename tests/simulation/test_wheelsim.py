@@ -721,14 +721,14 @@ def test_control_has_no_causes(tmp_path):
         (["--effect", "gauss_markov:channel=up"], 2, "along, yaw or wheels"),
     ],
 )
-def test_what_makes_no_sense_is_said(tmp_path, told, options, code, says):
-    assert says in told(["simulate", tmp_path / "out.mcap", *options], code).err
+def test_what_makes_no_sense_is_said(tmp_path, invoke, options, code, says):
+    assert says in invoke(["simulate", tmp_path / "out.mcap", *options], code).err
     assert not list(tmp_path.iterdir())
 
 
-def test_nothing_is_overwritten_unasked(tmp_path, told):
+def test_nothing_is_overwritten_unasked(tmp_path, invoke):
     simulated(tmp_path)
-    assert "exists already" in told(["simulate", tmp_path / "out.mcap"], 1).err
+    assert "exists already" in invoke(["simulate", tmp_path / "out.mcap"], 1).err
     (tmp_path / "out.mcap").unlink()
     assert run(["simulate", str(tmp_path / "out.mcap")]) == 1
     simulated(tmp_path, "--overwrite")

@@ -444,15 +444,10 @@ def test_headings_that_are_clamped_and_motion_that_is_lost_in_gaps():
     look_at(path.stamped(path.stamps_ns + 19_000_000 * (np.arange(len(path)) % 9 == 4)), real(rows))
 
 
-def spells(every=600):
-    """Return the numbers of the messages that a loop of 50 Hz writes which takes three times as long now and then."""
-    number = np.arange(len(driven()))
-    return number[(number // every % 2 == 0) | (number % 3 == 0)]
-
-
 @pytest.mark.parametrize("headed", [True, False])
 def test_a_time_step_that_is_taken_for_constant(headed):
-    path, at = trajectory(rows := driven()), spells()
+    path, number = trajectory(rows := driven()), np.arange(len(driven()))
+    at = number[(number // 600 % 2 == 0) | (number % 3 == 0)]  # the loop takes three times as long now and then
     counted = trajectory(rows[at[1:]]).stamped(path.stamps_ns[at])
     found = look_at(counted, real(rows, headed=headed), "time step")
     assert "as for 20 ms, though they come every 20 to 60 ms" in found.mistakes[0].said
