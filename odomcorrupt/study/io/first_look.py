@@ -890,8 +890,7 @@ def _time_step(look: Look) -> Figures | None:
     if used.sum() < 5 * FEWEST_WINDOWS or high_s < (1.0 + 2.0 * _ALIKE) * low_s:
         return None
     # the truth goes as many times as far as the time is longer
-    slope, corr = np.polyfit(every, ratio, 1)[0], np.corrcoef(every, ratio)[0, 1]
-    if abs(slope - 1.0) > 0.2 or corr < 0.8:
+    if abs(np.polyfit(every, ratio, 1)[0] - 1.0) > 0.2 or np.corrcoef(every, ratio)[0, 1] < 0.8:
         return None
     step_s = float(np.exp(np.median(every - ratio)))
     rows = increments(path.trajectory().xyt).rows * (np.diff(path.t_s) / step_s)[:, None]
@@ -913,11 +912,11 @@ def _clamped(look: Look) -> Figures | None:
 def _stands(look: Look, i: int) -> Figures | None:
     """Find windows in which one of the two does not move at all while the other one does."""
     here, there = look.motions[:2][:: 1 - 2 * i]
-    moves = (speed := np.hypot(there[:, 0], there[:, 1])) > 0.5 * np.percentile(speed, 95.0)
     # a truth has noise, also of a robot that is blocked
     sizes = [np.column_stack((np.hypot(x[:, 0], x[:, 1]), np.abs(x[:, 2]))) for x in (here, there)]
     usual = np.min([np.percentile(size, 95.0, axis=0) for size in sizes], axis=0)  # jumps of one are not usual
     still = (sizes[0] <= (1e-3, 0.04)[i] * usual).all(axis=1)
+    moves = sizes[1][:, 0] > 0.5 * np.percentile(sizes[1][:, 0], 95.0)
     lost, runs = moves & still, runs_of(np.asarray(still))
     lost_s, share = float(lost.sum()) * look.window_s / 4.0, float(lost.sum()) / max(moves.sum(), 1)
     # a robot is blocked for shorter times than a driver fails; positions alone do not show its turns on the spot
@@ -926,8 +925,8 @@ def _stands(look: Look, i: int) -> Figures | None:
         return None
     for a, b in runs:  # a pose that stays is wrong also while the other one rests
         lost[a:b] |= lost[a:b].any()
-    words = {"causes": _FROZEN[i], "lost": f"{lost_s:.0f}", "share": f"{share:.0%}"}
-    return {"i": i, **words, "undo": _without(look, i, lost)}
+    words = {"i": i, "causes": _FROZEN[i], "lost": f"{lost_s:.0f}", "share": f"{share:.0%}"}
+    return words | {"undo": _without(look, i, lost)}
 
 
 def _without(look: Look, i: int, lost: NDArray[np.bool_]) -> Callable[[Samples], Samples]:

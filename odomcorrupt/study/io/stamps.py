@@ -97,8 +97,8 @@ def _steps_of_motion(path: Samples, interval: Array, usual_s: float) -> list[Ste
     for i in np.flatnonzero((interval > max(GAP_S, GAP_STEPS * usual_s)) & (interval < _FORWARD_S)):
         rows = np.r_[max(i - _BESIDE, 0) : i, i + 1 : i + 1 + _BESIDE] % len(motions)
         beside, regular = motions[rows], np.all(np.abs(interval[rows] - usual_s) < _TOLERANCE * usual_s)
-        usually = beside.mean(axis=0)
-        steady = (beside.min(axis=0) > 0.5 * beside.max(axis=0)) & (np.abs(motions[i] - usually) < 0.5 * usually)
+        mean = beside.mean(axis=0)
+        steady = (beside.min(axis=0) > 0.5 * beside.max(axis=0)) & (np.abs(motions[i] - mean) < 0.5 * mean)
         if regular and _BESIDE <= i < len(motions) - _BESIDE and steady.any():
             found.append(Step(int(i) + 1, float(interval[i]) - usual_s))
         else:

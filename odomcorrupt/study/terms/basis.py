@@ -8,7 +8,7 @@ Thresholds, places and moments are families with shape parameters; the penalty a
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import lru_cache, partial
 from itertools import pairwise, product
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
@@ -37,7 +37,7 @@ def evaluated(text: str, motion: Motion, **coefficients: float) -> Array:
     return _parsed(text, tuple(coefficients)).added_to(("yaw",), variables | before | coefficients)
 
 
-@cache
+@lru_cache(maxsize=4096)  # refined shapes have texts of their own
 def _parsed(text: str, coefficients: tuple[str, ...]) -> Expression:
     return parse_expression(f"yaw += {text}", coefficients)
 

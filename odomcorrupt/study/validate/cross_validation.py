@@ -1,8 +1,8 @@
 """Folds of the fitted recordings for cross-validation: a model is refitted without a fold and evaluated on it.
 
-Folds are whole runs, or the halves of a single one; a refit uses all others together, because a single run
-may not show every effect. It is weakly held by the fit of all recordings, so that an effect that the others do not show
-stays where it was. Folds depend neither on the names of the recordings nor on their order.
+Folds are whole runs, or the halves of a single one; a refit uses all others together, because a single run may not show
+every effect. It is weakly held by the fit of all recordings, so that an effect that the others do not show stays where
+it was. Folds depend neither on the names of the recordings nor on their order.
 """
 
 from __future__ import annotations
@@ -134,8 +134,9 @@ def _middle(run: Sequence[Recording]) -> int:
         raise RecordingError(f"{run[0].name}: odometry and truth have no time in common; check the two clocks")
     order = np.argsort(stamps, kind="stable")
     stamps, distance_m = stamps[order], np.cumsum(np.concatenate(gone)[order])
-    rests = not 0.25 <= distance_m[len(stamps) // 2] / max(distance_m[-1], 1e-9) <= 0.75
-    return int(stamps[np.searchsorted(distance_m, 0.5 * distance_m[-1]) if rests else len(stamps) // 2])
+    in_time, half_m = len(stamps) // 2, 0.5 * distance_m[-1]
+    rests = abs(distance_m[in_time] - half_m) > 0.5 * half_m
+    return int(stamps[np.searchsorted(distance_m, half_m) if rests else in_time])
 
 
 def _halves(
