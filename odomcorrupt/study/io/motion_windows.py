@@ -311,8 +311,8 @@ class Look:
     def rates(self, i: int, lag_s: tuple[float, float] | None = None) -> tuple[Array, Callable[[Array], Array]]:
         """Return rates (k, 2) of travel and turns of one of the two, and their sums (n, 2) in steady windows.
 
-        lag_s : time constant of a low-pass filter of the rates, and by how much later windows begin; those of `lags_s`
-            by default
+        lag_s : time constant of a low-pass filter of the rates, and the shift of the windows; those of `lags_s` by
+            default
         """
         t_s, rates, step_s = self.sampled[i]
         time_s, later_s = lag_s or self.lags_s[i]
@@ -327,9 +327,9 @@ class Look:
 
     @cached_property
     def lags_s(self) -> list[tuple[float, float]]:
-        """Time constants by which each of the two lags the other one's motions, zero where that explains little more.
+        """Time constant and shift, s, of the low-pass filter of each one's rates that makes them the other's.
 
-        Each is of the rates that are filtered, and beside the time by which they are then later than the other's.
+        Zero where it explains little more. If the truth's rates have to be filtered, the odometry lags.
         """
         found, few = [], bool(self.steady.sum() < 5 * FEWEST_WINDOWS)
         for i, other in enumerate(self.windows[1::-1]):

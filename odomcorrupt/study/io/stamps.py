@@ -87,7 +87,7 @@ def clock_steps(path: Samples) -> list[Step]:
 def _steps_of_motion(path: Samples, interval: Array, usual_s: float) -> list[Step]:
     """Return forward clock steps: gaps of the stamps in which a robot in steady motion travels one usual interval.
 
-    None if it hardly moves in as many other gaps: of a publisher that waits for motion, too.
+    No gap is a step if the robot hardly moves in as many others: the publisher then waits for motion.
     """
     with np.errstate(all="ignore"):  # positions and headings are not checked yet
         gone = np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
